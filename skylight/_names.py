@@ -3,6 +3,7 @@
 They stand by themselves so that parsing a command imports no torch.
 """
 
+import logging
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -58,36 +59,56 @@ MergedFrom = Literal["ball", "360"]
 LightTarget = Literal["threejs", "sh", "ar", "gltf", "usd", "mitsuba", "blender"]
 
 # Light models, on the command line and in results: skylight.models
-LightName = Literal["sphere", "auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
-# Not "auto": without exposures that takes half of the photographs under an open sky for lamps
-DEFAULT_LIGHT: LightName = "autoencoder"
+LightName = Literal["sphere", "autoencoder", "sunsky", "lamps", "auto", "sh9", "sh25"]
+DEFAULT_LIGHT: LightName = "sphere"
+DEFAULT_SKY: LightName = "autoencoder"  # for what only skies have: light_at
+DEFAULT_FILM_LIGHT: LightName = DEFAULT_SKY  # a light that drifts is a sky's
 LIGHT_NAMES: tuple[LightName, ...] = get_args(LightName)
 # Skies above a ground ("auto" may choose one)
-SKY_LIGHTS: tuple[LightName, ...] = ("auto", "autoencoder", "sunsky")
+SKY_LIGHTS: tuple[LightName, ...] = ("autoencoder", "sunsky", "auto")
 
-# Where a photograph was taken, for who knows, and the light models that are possible there: the
-# first in place of one that was not chosen. A flash is a lamp on the camera.
+# Where a photograph was taken, for who knows, and the light models that are possible there. A
+# flash is a lamp on the camera.
 Place = Literal["auto", "outdoors", "indoors", "flash"]
 PLACES: tuple[Place, ...] = get_args(Place)
 _LIGHTS_AT: dict[str, tuple[LightName, ...]] = {
-    "outdoors": ("autoencoder", "sphere", "sunsky", "sh9", "sh25"),
-    "indoors": ("lamps", "sphere", "sh9", "sh25"),
-    "flash": ("lamps", "sphere"),
+    "auto": LIGHT_NAMES,
+    "outdoors": ("sphere", "autoencoder", "sunsky", "sh9", "sh25"),
+    "indoors": ("sphere", "lamps", "sh9", "sh25"),
+    "flash": ("sphere", "lamps"),
 }
 
 
-def light_at(light: LightName, place: str) -> LightName:
-    """The light model for a place; :class:`InputError` for one that was chosen and is not there."""
+def light_at(light: LightName, place: str, of_skies: str = "") -> LightName:
+    """The light model for a place, and for what is asked ``of_skies`` (in words).
+
+    At a known place "auto" is the default. The default gives way to :data:`DEFAULT_SKY` where
+    something is asked that only skies have, which is logged.
+
+    Raises
+    ------
+    InputError
+        An unknown place, or a light that was chosen and is not there.
+    """
     if place not in PLACES:
         raise InputError(f"unknown place {place!r}: choose one of {', '.join(PLACES)}")
-    if place == "auto" or light in _LIGHTS_AT[place]:
-        return light
-    if light not in ("auto", DEFAULT_LIGHT):
+    if light == "auto" and place != "auto":
+        light = DEFAULT_LIGHT
+    lights = _LIGHTS_AT[place]
+    if light not in lights:
         raise InputError(
             f"{light} is no light for the place {place}: leave one of them out, or choose "
-            f"{' or '.join(_LIGHTS_AT[place])}"
+            f"{' or '.join(lights)}"
         )
-    return _LIGHTS_AT[place][0]
+    if not of_skies or light != DEFAULT_LIGHT or DEFAULT_SKY not in lights:
+        return light
+    logging.getLogger(__name__).warning(
+        "skylight: %s: only skies have that, so the light is %s, not the default %s",
+        of_skies,
+        DEFAULT_SKY,
+        DEFAULT_LIGHT,
+    )
+    return DEFAULT_SKY
 
 
 # Of skies: from where a scan finds the sun, or as in the thesis, B.1
@@ -119,12 +140,18 @@ def check_solver_name(name: str, light: str) -> SolverName:
     return name  # type: ignore[return-value]
 
 
-def is_trained(light: LightName) -> bool:
-    """Whether a light model's folder has anything for this light: a network, or a prior."""
-    return light in SKY_LIGHTS
+def is_trained(light: LightName, *, of_places: bool) -> bool:
+    """Whether a trained model has anything for this light: skies a network and priors."""
+    return light in (("sphere",) if of_places else SKY_LIGHTS)
 
 
-def check_is_trained(light: LightName) -> None:
-    """:class:`InputError` for a light that takes no model's folder."""
-    if not is_trained(light):
+def check_is_trained(light: LightName, *, of_places: bool) -> None:
+    """:class:`InputError` for a light that does not take this model."""
+    if is_trained(light, of_places=of_places):
+        return
+    if not is_trained(light, of_places=not of_places):
         raise InputError(f"{light} has no trained model: leave --model out")
+    kind, lights = ("places", ("sphere",)) if of_places else ("skies", SKY_LIGHTS)
+    raise InputError(
+        f"--model holds {kind}, for --light {' or '.join(lights)}, not {light}: leave one out"
+    )

@@ -7,12 +7,13 @@ from pathlib import Path
 
 from .run import Failure, Step
 
-COMPATIBLE = (0, 2), (0, 4)  # from the first on, below the second
+COMPATIBLE = (0, 3), (0, 4)  # from the first on, below the second
 EXPORTED = "blender"  # folder within an estimate's
 LIGHTS = (
+    ("sphere", "Any Place", "Outdoors, rooms, studios, streets; uses what is behind the person"),
     ("autoencoder", "Outdoors", "A sky, sun or clouds, over a ground"),
     ("lamps", "Rooms and Nights", "Up to three lamps in soft light"),
-    ("auto", "Find Out", "Whichever of both is likelier; takes half as long again"),
+    ("auto", "Sky or Lamps", "Whichever of both is likelier; takes half as long again"),
 )
 
 

@@ -55,8 +55,8 @@ draw_region(right, estimate.posterior, estimate.environment.layout[0])
 figure.tight_layout()
 
 # %%
-# This portrait was taken in a studio, under lamps. A sky model does not represent such light:
-# check the posterior and ``advice`` before using an estimate.
+# This portrait was taken in a studio, under lamps, which the light of any place has too: check the
+# verdict, the posterior and ``advice`` before using an estimate.
 #
 # Relit objects
 # -------------

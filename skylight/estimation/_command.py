@@ -11,6 +11,7 @@ from tyro.conf import Positional
 
 from skylight._names import (
     DEFAULT_DETAIL,
+    DEFAULT_LIGHT,
     DetailName,
     HeadName,
     LandmarkerName,
@@ -33,7 +34,7 @@ def estimate(
     photo: Positional[Path],
     more: Positional[tuple[Path, ...]] = (),
     shared_light: bool = False,
-    light: LightName = "autoencoder",
+    light: LightName = DEFAULT_LIGHT,
     model: Path | None = None,
     network: str | None = None,
     solver: SolverName = "scan",
@@ -90,12 +91,14 @@ def estimate(
             Of a grey one the colour of the light is only what is usual.
         more: Further pictures in the same light; only with --shared-light.
         shared_light: All pictures were taken in one light by cameras that looked the same way.
-        light: Light model: learnt skies; any place, all round (sphere); Preetham's sky with a sun;
-            lamps in ambient light (rooms, studios, streets at night); spherical harmonics with 9 or
-            25 coefficients; or auto, the likelier of learnt skies and lamps, for half as much time
-            again as skies alone.
-        model: Folder of a trained model of your own instead of the one that comes with skylight,
-            for --light auto, autoencoder or sunsky.
+        light: Light model: any place, all round (sphere); learnt skies (autoencoder); Preetham's
+            sky with a sun; lamps in ambient light (rooms, studios, streets at night); spherical
+            harmonics with 9 or 25 coefficients; or auto, the likelier of learnt skies and lamps,
+            for half as much time again as skies alone. What only skies have (--model of skies,
+            --ground-albedo, --time, --solver thesis) makes the default learnt skies, and a line
+            says so; of films they are the default.
+        model: Folder of a trained model of your own instead of the one that comes with skylight:
+            of skies, for --light autoencoder, sunsky or auto, or of places, for sphere.
         network: Class of that model's network, where it is yours, as module:Class.
         solver: How --light autoencoder is searched for: from many starts where a scan finds the
             sun, or as in the thesis (B.1), from the mean sky on four levels.
@@ -111,8 +114,8 @@ def estimate(
         time: When the (first) picture was taken, as 2024-06-01T14:30+02:00, instead of what its
             EXIF data tell. With the place it tells the sun's height.
         place: Where, as LAT,LON: degrees north and east (south and west are negative); or what kind
-            of place: outdoors, indoors, or flash (on the camera), which chooses the light model, or
-            tells sphere of it; or both, as outdoors,41.89,12.49.
+            of place: outdoors, indoors, or flash (on the camera), which rules out kinds of place
+            for sphere, the light in place of auto then; or both, as outdoors,41.89,12.49.
         heading: Where the camera looked: degrees clockwise from true north.
         ignore_exif_sun: Do not use time, place and heading of the EXIF data.
         keep_place: Write time, place and heading into estimate.json; they are left out else.
@@ -125,7 +128,7 @@ def estimate(
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
             up to 0.9 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
-        batch: Of a folder, for --light auto, autoencoder or sunsky: so many pictures are solved
+        batch: Of a folder, for --light autoencoder, sunsky or auto: so many pictures are solved
             together on the device by one process, while the workers do the rest; by default 16 by
             CUDA, and 1 on the CPU, where each worker solves its own.
         retry_failed: Of a folder: try again the pictures that failed before.

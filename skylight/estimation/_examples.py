@@ -41,7 +41,7 @@ EXAMPLES = (
         author="NASA",
         licence="public domain",
         description="Portrait of the astronaut Eileen Collins",
-        expected="works: a studio's flat light, called overcast",
+        expected="works: a studio's flat light",
         codes=_astronaut,
     ),
     ExamplePhoto(

@@ -129,7 +129,7 @@ def estimate_folder(
 
 def _batch(settings: EstimateSettings, workers: Workers, asked: int | None) -> int:
     """How many photos are solved together."""
-    alike = solved_together(settings.light_there, settings.prior)
+    alike = solved_together(settings.light, settings.prior)
     can = alike and not isinstance(workers, Cluster)
     if asked is None:
         return GPU_BATCH if can and choose_device(settings.device).type != "cpu" else 1
@@ -137,8 +137,8 @@ def _batch(settings: EstimateSettings, workers: Workers, asked: int | None) -> i
         raise InputError(f"--batch must be 1 or more, got {asked}")
     if asked > 1 and not alike:
         raise InputError(
-            f"--batch is for --light {', '.join(SKY_LIGHTS)}: {name_of(settings.light_there)} is "
-            "solved photo by photo; leave it out"
+            f"--batch is for --light {', '.join(SKY_LIGHTS)}: {name_of(settings.light)} is solved "
+            "photo by photo; leave it out, or choose one of these"
         )
     if asked > 1 and not can:
         raise InputError(

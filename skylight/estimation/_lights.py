@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight._figures import named_angles
-from skylight.inverse._lamp_relighting import lamps_radiance
+from skylight.inverse._lamp_relighting import without_lamps
 from skylight.inverse._result import Estimate
 from skylight.relight._lamps import disc_diameter_rad, split_main_light
 from skylight.skies._sun import SUN_RADIUS_RAD
@@ -38,13 +38,11 @@ class SeparateLight:
 def lights_apart(estimate: Estimate) -> tuple[EnvironmentMap, list[SeparateLight]]:
     """(the map without its lights, these), the strongest first.
 
-    The lamps of a model that has some, as :func:`lamps_radiance` draws them; of a sky its sun where
+    The lamps of a model that has some, as :func:`without_lamps` has it; of a sky its sun where
     one is visible (:func:`split_main_light`), as wide as the sun is.
     """
     whole = estimate.environment
     if estimate.lamps:
-        drawn = lamps_radiance(estimate.lamps, whole.layout[0]).reshape(whole.radiance.shape)
-        rest = (whole.radiance.double() - drawn).clamp(min=0).to(whole.radiance)
         lamps = [
             SeparateLight(
                 kind="sun" if lamp.is_sun else "lamp",
@@ -54,7 +52,7 @@ def lights_apart(estimate: Estimate) -> tuple[EnvironmentMap, list[SeparateLight
             )
             for lamp in estimate.lamps
         ]
-        return EnvironmentMap(radiance=rest), lamps
+        return without_lamps(whole, estimate.lamps), lamps
     if not estimate.posterior.is_seen or estimate.posterior.grid.is_sphere:
         return whole, []
     sun, rest = split_main_light(whole)

@@ -148,8 +148,12 @@ class Pictures:
         names = tuple(names or (_name(one, k, len(images)) for k, one in enumerate(images, 1)))
         known = _known_of(photos[0], taken, ignore_exif_sun=settings.ignore_exif_sun)
         prior, of_sun = sun_prior(known)
-        if prior is not None and not follows_clock(settings.light_there, settings.prior):
-            name = name_of(settings.light_there)
+        # EXIF data, which most photographs have, choose no light
+        by_hand = prior is not None and taken is not None
+        if by_hand and not follows_clock(settings.light, settings.prior):
+            settings = settings.for_skies("time, place or heading")
+        if prior is not None and not follows_clock(settings.light, settings.prior):
+            name = name_of(settings.light)
             prior, of_sun = None, (f"{name}: no light by the clock, time and place were not used",)
         notes = (*(f"{names[0]}: {note}" for note in known.notes), *of_sun, *_unused(taken, known))
         return Pictures(

@@ -28,7 +28,6 @@ from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import FaceLandmarker
 from skylight.imaging._colour import Decode
 from skylight.inverse._estimate import (
-    bundle_of,
     check_goes_together,
     light_problems,
     light_there,
@@ -38,7 +37,7 @@ from skylight.inverse._problem import LightProblem
 from skylight.inverse._sky import SOLVERS
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import Light, LightPrior, name_of
-from skylight.models._bundle import Model
+from skylight.models._bundle import Model, load_model
 from skylight.models._ground import KnownGround, check_has_ground
 from skylight.work._device import choose_device
 
@@ -68,16 +67,19 @@ class EstimateSettings:
     Parameters
     ----------
     light
-        The light model: "auto" (the likelier of "autoencoder" and "lamps"), "autoencoder" (learnt
-        skies), "sphere" (any place, all round), "sunsky" (Preetham's sky and a sun), "lamps" (up
-        to three in ambient light), "sh9" or "sh25" (spherical harmonics up to degree 2 or 4); or a
-        :class:`~skylight.models._base.LightModel` of your own.
+        The light model: "sphere" (any place, all round), "autoencoder" (learnt skies), "sunsky"
+        (Preetham's sky and a sun), "lamps" (up to three in ambient light), "auto" (the likelier of
+        "autoencoder" and "lamps"), "sh9" or "sh25" (spherical harmonics up to degree 2 or 4); or a
+        :class:`~skylight.models._base.LightModel` of your own. The default gives way to
+        "autoencoder" where something is asked that only skies have
+        (:func:`~skylight.inverse._estimate.light_there`).
     prior
         The density of such a model's free parameters, as for
         :func:`~skylight.inverse._estimate.estimate_light`; by default all are alike.
     model
         A trained model of your own, or its folder, in place of the one that comes with skylight:
-        the network of "autoencoder", or the prior of "sunsky". ``skylight train`` makes them.
+        the places of "sphere", the network of "autoencoder", or the prior of "sunsky".
+        ``skylight train`` makes them.
     solver
         How the sky of "autoencoder" is searched for: "scan", from many starts where a scan finds
         the sun, or "thesis", from the mean sky by L-BFGS on four levels (B.1).
@@ -100,8 +102,8 @@ class EstimateSettings:
         The albedo of the ground where it is known, for skies over a ground ("auto",
         "autoencoder", "sunsky", your own); by default what is usual.
     place
-        "outdoors", "indoors" or "flash" (on the camera) where that is known: chooses the light
-        model in place of "auto" and the default, and rules out kinds of place for "sphere".
+        "outdoors", "indoors" or "flash" (on the camera) where that is known: rules out kinds of
+        place for "sphere", which is taken in place of "auto".
     detail
         What the written map shows beside its light (:mod:`~skylight.estimation._detail`): "none",
         "photo" (the photograph's own pixels inside its view) or "mirrored" (its texture round the
@@ -130,19 +132,22 @@ class EstimateSettings:
     device: str = "auto"
 
     def __post_init__(self) -> None:
-        light = self.light_there
+        solver = "" if self.solver == DEFAULT_SOLVER else f"the solver {self.solver}"
+        light = light_there(
+            self.light, self.place, model=self.model, ground=self.ground, of_skies=solver
+        )
+        object.__setattr__(self, "light", light)
         check_goes_together(light, self.prior, self.model)
         check_solver_name(self.solver, name_of(light))
         check_has_ground(light, self.ground)
         check_detail_name(self.detail)
         where = choose_device(self.device)
-        if not isinstance(self.light, str):
-            own_light(self.light, self.prior, where)
+        if not isinstance(light, str):
+            own_light(light, self.prior, where)
 
-    @property
-    def light_there(self) -> Light:
-        """The light model that is looked for, with what is known of the place."""
-        return light_there(self.light, self.place)
+    def for_skies(self, what: str) -> "EstimateSettings":
+        """For ``what`` only skies have: in the default's place learnt skies, where they can be."""
+        return replace(self, light=light_there(self.light, self.place, of_skies=what))
 
     @property
     def landmarker(self) -> FaceLandmarker:
@@ -160,7 +165,7 @@ class EstimateSettings:
     @property
     def with_model(self) -> "EstimateSettings":
         """With a model that was read, for many estimates."""
-        return self if self.model is None else replace(self, model=bundle_of(self.model))
+        return self if self.model is None else replace(self, model=load_model(self.model))
 
     def problems(
         self,
@@ -189,7 +194,7 @@ class EstimateSettings:
         if self.prior is not None:
             facts["prior"] = told(self.prior)
         if self.model is not None:
-            facts["model"] = bundle_of(self.model).fingerprint
+            facts["model"] = load_model(self.model).fingerprint
         if self.solver == DEFAULT_SOLVER:  # notes of runs before there was another
             del facts["solver"]
         if self.place == "auto":

@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skylight._names import LightName, is_trained
+from skylight._names import DEFAULT_LIGHT, DEFAULT_SKY, LightName, is_trained
 from skylight.errors import InputError
 from skylight.evaluation._run import Check, Evaluation, Item, trained_model
 from skylight.faces._fit import FaceFit, fit_face, fit_visible
@@ -41,7 +41,7 @@ from skylight.inverse._posterior import SunPosterior
 from skylight.inverse._result import Estimate
 from skylight.inverse._scores import score
 from skylight.inverse._sky import SolverOptions
-from skylight.models._bundle import Model
+from skylight.models._bundle import Model, is_of_places
 from skylight.models._ground import GROUND_ALBEDOS
 from skylight.people._files import RenderedFace, read_rendered_face, rendered_faces
 from skylight.people._light import LOWEST_TRANSMITTANCE
@@ -168,6 +168,12 @@ class EstimateOptions:
             config["solver"] = asdict(self.solver)
         return config
 
+    @property
+    def light(self) -> LightName:
+        """The default light; with a trained model of skies learnt ones."""
+        of_skies = self.model is not None and not is_of_places(self.model)
+        return DEFAULT_SKY if of_skies else DEFAULT_LIGHT
+
     def with_evidence(self) -> "EstimateOptions":
         """The same, so that skies can compete with lamps."""
         return replace(self, solver=replace(self.solver, evidence=True))
@@ -175,8 +181,10 @@ class EstimateOptions:
     def estimate(
         self, observations: Observation | Sequence[Observation], light: LightName
     ) -> Estimate:
-        """:func:`estimate_light`; harmonics have no trained model."""
-        model = trained_model(self.model) if self.model is not None and is_trained(light) else None
+        """:func:`estimate_light`, by the trained model where it is for that light."""
+        model = None if self.model is None else trained_model(self.model)
+        if model is not None and not is_trained(light, of_places=is_of_places(model)):
+            model = None
         return estimate_light(
             observations, light, model=model, options=self.solver, device=self.device
         )

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skylight._names import LightName
+from skylight._names import DEFAULT_LIGHT, LightName
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
     FaceEvaluation,
@@ -36,8 +36,8 @@ from skylight.inverse._result import Estimate
 from skylight.io._files import write_png
 from skylight.sphere._frame import angle_between, angles_from_direction
 
-OURS: LightName = "autoencoder"
-METHODS: tuple[LightName, ...] = (OURS, "lamps", "auto")
+OURS = DEFAULT_LIGHT
+METHODS: tuple[LightName, ...] = (OURS, "autoencoder", "lamps", "auto")
 INDEX = "lamps.json"
 # linear; usual skin under white light, since the photographs are grey
 SKIN_TINT = (1.0, 0.66, 0.51)

@@ -40,6 +40,7 @@ from skylight.io._atomic import atomic_path
 from skylight.io._bounded import write_json
 from skylight.models._bundle import LightBundle, Model
 from skylight.models._network_names import network_option
+from skylight.models._sphere import Places
 from skylight.work._resumable import Workers, locked
 
 SHEET_STRIPS = 12
@@ -106,6 +107,8 @@ def evaluate(
 
 
 def _named(model: Model) -> str:
+    if isinstance(model, Places):
+        return "places"
     if not isinstance(model, LightBundle):
         return Path(model).name
     return model.name + network_option(type(model.network))

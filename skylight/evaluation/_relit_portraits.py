@@ -14,7 +14,6 @@ from numpy import ndarray
 from skimage.color import lab2rgb, rgb2lab
 from skimage.metrics import structural_similarity
 
-from skylight._names import LightName
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
     FaceEvaluation,
@@ -49,7 +48,6 @@ def colour_transfer(
         return np.clip(lab2rgb(moved), 0, 1).astype(np.float32)
 
 
-LIGHT: LightName = "autoencoder"
 RELIT, TRUE_LIGHT, TRUE_HEAD = "relit", "relit_true_light", "relit_true_head"
 TRUE_BOTH = "relit_true_light_and_head"
 BALD, TRANSFER, UNCHANGED = "relit_without_shell", "transfer", "unchanged"
@@ -115,8 +113,9 @@ class RelitPortraits(FaceEvaluation):
 
     def measure(self, item: str, picture: Path) -> Item:
         old, new = (read_rendered_face(self.data / folder / item) for folder in ("from", "to"))
-        found = self.lit(known_face(old), (LIGHT,))
-        fit, estimate = found.fit, found.estimates[LIGHT]
+        light = self.options.light
+        found = self.lit(known_face(old), (light,))
+        fit, estimate = found.fit, found.estimates[light]
         photo = photo_from_codes(old.encoded)
 
         truth = _encoded(new.linear.numpy())

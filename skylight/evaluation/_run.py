@@ -20,7 +20,8 @@ from skylight.errors import InputError, SkylightError
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import json_content
 from skylight.io._files import INDEX_NAME, visible_files
-from skylight.models._bundle import LightBundle, Model, load_bundle
+from skylight.models._bundle import LightBundle, Model, load_bundle, load_model
+from skylight.models._sphere import Places
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.transport._mesh import MESH_SUFFIXES
 from skylight.work._progress import CountProgress
@@ -303,17 +304,18 @@ def read_index(path: Path) -> Any:
         raise InputError(f"{path}: not JSON ({error})") from error
 
 
-_of_folder = cache(load_bundle)
+_of_folder = cache(load_model)
 
 
-def trained_model(model: Model | None) -> LightBundle:
-    """That of a folder, read once; None for the one that comes with skylight."""
-    if isinstance(model, LightBundle):
-        return model
-    return _of_folder(None if model is None else Path(model))
+def trained_model(model: Model) -> LightBundle | Places:
+    """That of a folder, read once."""
+    return _of_folder(Path(model) if isinstance(model, str) else model)
 
 
 @lru_cache(maxsize=4)
 def trained_light(model: Model | None) -> AutoencoderLight:
     """The light model of a trained model, shared: do not modify it."""
-    return trained_model(model).light()
+    bundle = load_bundle() if model is None else trained_model(model)
+    if isinstance(bundle, Places):
+        raise InputError("skies are scored: give --model a model of skies, not of places")
+    return bundle.light()

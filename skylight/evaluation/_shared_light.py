@@ -30,7 +30,7 @@ BETTER = 0.6  # mean sun angle of four faces over that of one
 
 @dataclass(frozen=True, kw_only=True)
 class SharedLight(KnownFaceEvaluation):
-    """The autoencoder from one, two and four of a scene's first four faces.
+    """The default light from one, two and four of a scene's first four faces.
 
     ``data`` is a folder of ``skylight faces render --per-scene 4``: the faces of a scene share
     light, camera and exposure, as those in one photograph do. A scene's row for one face is the
@@ -86,7 +86,7 @@ class SharedLight(KnownFaceEvaluation):
             label = row(count)
             with stage(seconds, label):
                 estimates = [
-                    self.options.estimate(observations[i : i + count], "autoencoder")
+                    self.options.estimate(observations[i : i + count], self.options.light)
                     for i in range(0, TOGETHER, count)
                 ]
             first[label] = estimates[0].environment

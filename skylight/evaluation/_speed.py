@@ -19,6 +19,7 @@ from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
+from skylight._names import DEFAULT_SKY
 from skylight.errors import InputError
 from skylight.estimation._manifest import MANIFEST, list_photos, read_manifest
 from skylight.estimation._photos import estimate_photo
@@ -26,6 +27,7 @@ from skylight.estimation._report import write_results
 from skylight.evaluation._known_faces import FaceEvaluation, peak_mib, stage
 from skylight.evaluation._run import Item, Metrics
 from skylight.models._bundle import LightBundle, Model
+from skylight.models._sphere import Places
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +86,9 @@ class Speed(FaceEvaluation):
                 shutil.copy(self.data / source, photos / source.replace("/", "_"))
             options: dict[str, object] = {"out": out, "workers": workers, "batch": batch}
             options["device"] = self.options.device
-            if isinstance(self.options.model, LightBundle):
+            if batch > 1:
+                options["light"] = DEFAULT_SKY
+            if isinstance(self.options.model, LightBundle | Places):
                 raise InputError("speed times commands with skylight's networks: no --network")
             if self.options.model is not None:
                 options["model"] = self.options.model
@@ -109,7 +113,7 @@ class Speed(FaceEvaluation):
 
 def _named(workers: int, batch: int) -> str:
     workers_named = f"{workers} worker" + ("s" if workers > 1 else "")
-    return workers_named + (f", batches of {batch}" if batch > 1 else "")
+    return workers_named + (f", batches of {batch} ({DEFAULT_SKY})" if batch > 1 else "")
 
 
 @cache

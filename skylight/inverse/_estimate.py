@@ -4,7 +4,6 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from skylight._modes import without_autocast
 from skylight._names import (
@@ -33,8 +32,9 @@ from skylight.inverse._result import Estimate
 from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.inverse._sphere import sphere_problem, towards_of
 from skylight.inverse._sun_prior import SunPrior
-from skylight.models._base import Light, LightPrior, name_of
-from skylight.models._bundle import LightBundle, Model, load_bundle
+from skylight.models._base import Light, LightPrior, is_sky, name_of
+from skylight.models._bundle import LightBundle, Model, is_of_places, load_bundle, load_model
+from skylight.models._ground import KnownGround
 from skylight.models._harmonic import HarmonicLight
 from skylight.models._lamps import LampsLight
 from skylight.models._prior import GaussianMixture
@@ -70,10 +70,11 @@ def estimate_light(
         Pixels, weights and transport of each face; :func:`skylight.faces._observe.observe_face`
         makes them.
     light
-        "auto" (the likelier of "autoencoder" and "lamps"), "autoencoder" (learnt skies), "sphere"
-        (any place, with up to three lamps, on the whole sphere), "sunsky" (Preetham's sky and a
-        sun), "lamps" (up to three in ambient light, on the whole sphere), "sh9" or "sh25"
-        (spherical harmonics up to degree 2 or 4); or a
+        "sphere" (any place, with up to three lamps, on the whole sphere), which gives way to
+        "autoencoder" where ``model``, ``sun_prior`` or the ground of ``options`` is for skies;
+        "autoencoder" (learnt skies), "sunsky" (Preetham's sky and a sun), "lamps" (up to three in
+        ambient light, on the whole sphere), "auto" (the likelier of "autoencoder" and "lamps"),
+        "sh9" or "sh25" (spherical harmonics up to degree 2 or 4); or a
         :class:`~skylight.models._base.LightModel`, of a sky or the whole sphere, for which
         :class:`~skylight.models._base.ParametricLight` is a base.
     prior
@@ -84,7 +85,7 @@ def estimate_light(
         ``LampsLight(k)`` ``LampsPrior(k)``.
     model
         A trained model of your own, or its folder, in place of the one that comes with skylight:
-        the network of "autoencoder", or the prior of "sunsky".
+        the places of "sphere", the network of "autoencoder", or the prior of "sunsky".
     photos
         The photograph of each observation, counted from 0; by default all are of one. Faces of
         one photograph share its exposure.
@@ -98,9 +99,9 @@ def estimate_light(
         The exposure value at ISO 100, which tells "auto" and "sphere" of rooms and daylight
         (:func:`~skylight.imaging._exif.exposure_value`); others do not use it.
     place
-        "outdoors", "indoors" or "flash" where that is known: it chooses the model in place of
-        "auto" and the default, and with a flash one lamp is looked for at the camera too; for
-        "sphere" it rules out kinds of place.
+        "outdoors", "indoors" or "flash" where that is known: for "sphere", which is taken in place
+        of "auto", it rules out kinds of place; with a flash one lamp is looked for at the camera
+        too.
     device
         "cpu", "cuda", or "auto" for CUDA where it is. Transport is moved there once. The estimate
         is on the CPU.
@@ -195,10 +196,12 @@ def light_problems(
     """
     sun_priors = sun_priors or [None] * count
     exposures = exposures or [None] * count
-    light = light_there(light, place)
-    check_goes_together(light, prior, model)
     where, options = choose_device(device), options or SolverOptions()
-    if not follows_clock(light, prior) and any(one is not None for one in sun_priors):
+    has_sun = any(one is not None for one in sun_priors)
+    clock = "time and place" if has_sun and not follows_clock(DEFAULT_LIGHT, None) else ""
+    light = light_there(light, place, model=model, ground=options.ground, of_skies=clock)
+    check_goes_together(light, prior, model)
+    if has_sun and not follows_clock(light, prior):
         raise InputError(
             "lamps are not the sun, nor is light of the whole sphere: leave sun_prior out, or "
             f"choose another light than {name_of(light)}"
@@ -210,7 +213,9 @@ def light_problems(
         harmonics = HarmonicLight(degree).to(where)
         return [HarmonicProblem(harmonics, skin, modes, one) for one in sun_priors]
     if light == "sphere":
-        return [sphere_problem(skin, modes, lamps, place, each) for each in exposures]
+        places = None if model is None else load_model(model)
+        assert not isinstance(places, LightBundle)  # check_goes_together
+        return [sphere_problem(skin, modes, lamps, place, each, places) for each in exposures]
     if light == "lamps":
         towards = towards_of(place)
         return [LampsProblem(skin, modes, lamps, towards=towards) for _ in sun_priors]
@@ -221,7 +226,8 @@ def light_problems(
             return [LampsProblem(skin, modes, lamps, family, light.count) for _ in sun_priors]
         first = SkyProblem(own, over, skin, modes, options)
         return [first.another(one) for one in sun_priors]
-    bundle = bundle_of(model)
+    bundle = load_bundle() if model is None else load_model(model)
+    assert isinstance(bundle, LightBundle)
     if light != "sunsky":
         sky, over = smooth_autoencoder(bundle), bundle.prior()
     else:
@@ -238,10 +244,25 @@ def light_problems(
     return skies
 
 
-def light_there(light: Light, place: Place) -> Light:
-    """:func:`~skylight._names.light_at`, for which a model of one's own is chosen already."""
+def light_there(
+    light: Light,
+    place: Place,
+    *,
+    model: Model | None = None,
+    ground: KnownGround | None = None,
+    of_skies: str = "",
+) -> Light:
+    """:func:`~skylight._names.light_at`, for which a model of one's own is chosen already.
+
+    This is where it is said what only skies have: a trained ``model`` of them, a known ``ground``,
+    and what else is asked ``of_skies``.
+    """
+    if model is not None and not is_of_places(model):
+        of_skies = "a trained model of skies"
+    elif ground is not None and not is_sky(DEFAULT_LIGHT):
+        of_skies = "a known ground"
     if isinstance(light, str):
-        return light_at(check_light_name(light), place)
+        return light_at(check_light_name(light), place, of_skies)
     if place != "auto":
         raise InputError(
             f"a place chooses a light model, and {called(light)} is one: leave place out"
@@ -265,20 +286,14 @@ def check_goes_together(light: Light, prior: LightPrior | None, model: Model | N
                 f"prior is for a light model of your own: {light} has its own, leave prior out"
             )
         if model is not None:
-            check_is_trained(light)
+            check_is_trained(light, of_places=is_of_places(model))
         return
     check_light(light)
     if model is not None:
         raise InputError(
-            f"model is for {', '.join(SKY_LIGHTS)}: {called(light)} is a model itself, leave it out"
+            f"model is for sphere, {', '.join(SKY_LIGHTS)}: {called(light)} is a model itself, "
+            "leave it out"
         )
-
-
-def bundle_of(model: Model | None) -> LightBundle:
-    """A trained model that is given, or read from its folder; by default skylight's."""
-    if isinstance(model, LightBundle):
-        return model
-    return load_bundle(None if model is None else Path(model))
 
 
 def smooth_autoencoder(bundle: LightBundle) -> AutoencoderLight:

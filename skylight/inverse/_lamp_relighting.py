@@ -4,14 +4,13 @@ The light in the map's units is ::
 
     l(w) = e A(w) + sum_k E_k / f(s_k) g(w; d_k, s_k),
 
-with A the ambient light of :mod:`skylight.models._lamps`, e its level, and E_k the irradiance of a
-surface that faces lamp k; g and f are ``lobes`` and ``facing`` of
-:class:`~skylight.models._lamps.LampsLight`. A face's transport is kept, so its picture under
-another light is a matrix product.
+with A the ambient light of the model that has the lamps (:class:`~skylight.models._lobes
+.LampedLight`), e its level, and E_k the irradiance of a surface that faces lamp k; g and f are
+``lobes`` and ``facing``. A face's transport is kept, so its picture under another light is a matrix
+product.
 """
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -21,9 +20,11 @@ from torch import Tensor
 from skylight.imaging._edits import Edit
 from skylight.inverse._result import Estimate, FaceLight, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT
-from skylight.models._lamps import AMBIENT_PARAMETERS, LampsLight
+from skylight.models._lamps import LampsLight
 from skylight.models._lobes import Lamps
+from skylight.models._sphere import Places, SphereLight
 from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import DirectionGrid
 from skylight.transport._observation import Observation
 
 
@@ -45,30 +46,44 @@ def lamps_radiance(lamps: Sequence[Lamp], rows: int) -> Float[Tensor, "n 3"]:
     return torch.einsum("kn,kc->nc", lobes, received / LampsLight.facing(widths)[:, None])
 
 
+def without_lamps(light: EnvironmentMap, lamps: Sequence[Lamp]) -> EnvironmentMap:
+    """A map without lamps that were drawn into it as :func:`lamps_radiance` draws them."""
+    drawn = lamps_radiance(lamps, light.layout[0]).reshape(light.radiance.shape)
+    rest = (light.radiance.double() - drawn).clamp(min=0)
+    return EnvironmentMap(radiance=rest.to(light.radiance))
+
+
 @dataclass(frozen=True, kw_only=True)
 class LampLight:
-    """Ambient light by its parameters and ``level``, its mean luminance, with some ``lamps``.
+    """Ambient light and ``level``, its mean luminance, with some ``lamps``.
 
-    A level of 0 switches the ambient light off; a lamp that is left out is off.
+    ``ambient`` is A by the rows that it was computed on. A level of 0 switches it off; a lamp that
+    is left out is off.
     """
 
-    ambient: Float[Tensor, "16"]
+    ambient: Mapping[int, Float[Tensor, "_ 3"]]
     level: float
     lamps: tuple[Lamp, ...]
 
     @staticmethod
-    def of(estimate: Estimate) -> "LampLight":
-        """That of an estimate whose light model is "lamps"."""
+    def of(estimate: Estimate, places: Places | None = None) -> "LampLight":
+        """That of an estimate with lamps, on the rows of faces and of its map.
+
+        ``places`` are those of a model of the user's own.
+        """
+        sphere = estimate.light == SphereLight.name
+        model = SphereLight(0, places=places) if sphere else LampsLight(0)
+        params = estimate.params[: model.parameter_count].double()
+        heights = (SCAN_HEIGHT, estimate.environment.layout[0])
         return LampLight(
-            ambient=estimate.params[:AMBIENT_PARAMETERS],
+            ambient={rows: model.on_rows(rows).ambient(params) for rows in heights},
             level=estimate.exposure,
             lamps=estimate.lamps,
         )
 
     def radiance(self, rows: int) -> Float[Tensor, "n 3"]:
-        """l of the module's text on ``rows`` of the sphere."""
-        ambient = LampsLight(0, rows).ambient(self.ambient.double())
-        return (self.level * ambient + lamps_radiance(self.lamps, rows)).float()
+        """l of the module's text on ``rows`` of the sphere, some of the ambient light's."""
+        return (self.level * self.ambient[rows] + lamps_radiance(self.lamps, rows)).float()
 
     def environment(self, rows: int) -> EnvironmentMap:
         """The same as a map."""
@@ -79,10 +94,8 @@ class LampLight:
 
         Its luminance is ``pi * level``.
         """
-        model = LampsLight(0)
-        ambient = model.ambient(self.ambient.double())
-        mean = model.grid.solid_angles @ ambient / (4 * math.pi)
-        return (math.pi * self.level * mean).float()
+        weights = DirectionGrid.latlong(SCAN_HEIGHT).solid_angles
+        return (self.level * (weights @ self.ambient[SCAN_HEIGHT].double()) / 4).float()
 
 
 @dataclass(frozen=True, kw_only=True)

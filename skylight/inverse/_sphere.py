@@ -6,6 +6,7 @@ As lamps in ambient light (:mod:`skylight.inverse._lamps`), with the light model
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -17,7 +18,7 @@ from skylight.inverse._descent import Stage
 from skylight.inverse._faces import Level
 from skylight.inverse._lamps import LampFamily, LampsOptions, LampsProblem
 from skylight.models._prior import GaussianMixture
-from skylight.models._sphere import SphereLight, SpherePrior
+from skylight.models._sphere import Places, SphereLight, SpherePrior, shipped
 
 CAMERA_DIRECTION = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)  # from the face
 INDOORS, OPEN_SKY = ("home", "workplace", "studio", "car"), ("outdoors", "street")
@@ -42,16 +43,20 @@ def sphere_problem(
     options: LampsOptions,
     place: Place = "auto",
     exposure: float | None = None,
+    places: Places | None = None,
 ) -> LampsProblem:
     """An empty problem of this light, in a ``place`` where that is known.
 
-    The ``exposure`` value tells open sky by day from rooms and nights.
+    The ``exposure`` value tells open sky by day from rooms and nights. ``places`` are what was
+    learnt of them, by default what comes with skylight.
     """
-    log_odds = {"outdoors": open_sky_log_odds(exposure)}
-    log_odds |= dict.fromkeys(RULED_OUT.get(place, ()), -math.inf)
+    places = places or shipped()
+    known = {"outdoors": open_sky_log_odds(exposure)}
+    known |= dict.fromkeys(RULED_OUT.get(place, ()), -math.inf)
+    log_odds = {kind: odds for kind, odds in known.items() if kind in places.kinds}
     family = LampFamily(
-        light=SphereLight,
-        prior=lambda lamps: SpherePrior(lamps, log_odds=log_odds),
+        light=partial(SphereLight, places=places),
+        prior=lambda lamps: SpherePrior(lamps, places, log_odds),
         least_gain=LEAST_GAIN,
         patience=2,
         smooth=True,

@@ -15,6 +15,7 @@ from skylight._names import (
     LightTarget,
     MapReading,
 )
+from skylight.errors import InputError
 
 export = tyro.extras.SubcommandApp()
 
@@ -27,14 +28,18 @@ def export_decoder(
 
     Args:
         out: The .onnx file.
-        model: Folder that `skylight train` wrote; by default the model that comes with skylight.
+        model: Folder that `skylight train` wrote, of skies; by default the model that comes with
+            skylight.
         network: Class of that model's network, where it is yours, as module:Class.
     """
-    from skylight.inverse._estimate import bundle_of
-    from skylight.models._bundle import own_model
+    from skylight.models._bundle import Places, load_bundle, load_model, own_model
     from skylight.relight._export import export_decoder
 
-    difference = export_decoder(bundle_of(own_model(model, network)).light(), out)
+    given = own_model(model, network)
+    bundle = load_bundle() if given is None else load_model(given)
+    if isinstance(bundle, Places):
+        raise InputError(f"{model}: a model of places; give one of skies, or leave --model out")
+    difference = export_decoder(bundle.light(), out)
     print(f"{out}: onnxruntime and torch differ by {difference:.1g} at most")
 
 

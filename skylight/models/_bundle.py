@@ -12,7 +12,8 @@
 ``card.md``                    the model card
 =============================  ==================================================================
 
-The model that comes with skylight is such a folder too. Checkpoints of training are the network's
+The model that comes with skylight is such a folder too. A model of places is one file instead
+(:class:`~skylight.models._sphere.Places`). Checkpoints of training are the network's
 file alone (:func:`save_network`). The class that a file names is only compared with those that the
 user has registered or gives.
 """
@@ -36,11 +37,18 @@ from skylight.io._bounded import write_json
 from skylight.io._files import write_png
 from skylight.io._tensors import read_tensors, tensors_sha256, write_tensors
 from skylight.models._convolutional import LATENT, ConvolutionalAutoencoder
-from skylight.models._manifest import MAKE_ONE, MANIFEST, BundleManifest, read_manifest
+from skylight.models._manifest import (
+    MAKE_ONE,
+    MANIFEST,
+    BundleManifest,
+    places_file,
+    read_manifest,
+)
 from skylight.models._network import Coding, SkyNetwork
 from skylight.models._network_check import made_network
 from skylight.models._network_names import class_of_file, is_builtin, network_name
 from skylight.models._prior import GaussianMixture
+from skylight.models._sphere import Places
 from skylight.models._splines import SplineAutoencoder
 from skylight.models._sun_head import COORDINATES
 from skylight.models.autoencoder import AutoencoderLight
@@ -231,7 +239,7 @@ class LightBundle:
             write_json(unfinished / MANIFEST, manifest.entries())
 
 
-Model = str | Path | LightBundle  # a trained model, or its folder
+Model = str | Path | LightBundle | Places  # a trained model, or its folder
 
 
 def load_bundle(
@@ -259,6 +267,27 @@ def load_bundle(
     except InputError as error:
         reason = str(error).removesuffix(f"; {MAKE_ONE}")
         raise AssetError(f"{reason}; reinstall skylight") from error
+
+
+def load_model(model: Model) -> LightBundle | Places:
+    """A trained model of skies or of places that is given, or read from its folder.
+
+    Raises
+    ------
+    InputError
+        There is none, or it cannot be used.
+    """
+    if isinstance(model, LightBundle | Places):
+        return model
+    file = places_file(Path(model))
+    return load_bundle(model) if file is None else Places.load(file)
+
+
+def is_of_places(model: Model) -> bool:
+    """Whether a model is one of places, not of skies."""
+    if isinstance(model, LightBundle | Places):
+        return isinstance(model, Places)
+    return places_file(Path(model)) is not None
 
 
 def own_model(folder: Path | None, network: str | None) -> Path | LightBundle | None:

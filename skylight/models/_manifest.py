@@ -7,6 +7,7 @@ from skylight.errors import InputError
 from skylight.io._bounded import read_object, read_whole, require_keys
 
 MANIFEST = "bundle.json"
+PLACES = "sphere.safetensors"  # alone in the folder of a model of places
 KIND, VERSION = "light model", 2
 MAKE_ONE = "make one with: skylight train FOLDER --out DIR"
 
@@ -30,6 +31,13 @@ class BundleManifest:
         if self.network is None:
             del entries["network"]
         return {"kind": KIND, "version": VERSION if self.network else 1, **entries}
+
+
+def places_file(model: Path) -> Path | None:
+    """The file of a model of places: that file itself, or the one in its folder."""
+    if model.name == PLACES:
+        return model
+    return model / PLACES if (model / PLACES).is_file() else None
 
 
 def read_manifest(folder: Path) -> BundleManifest:

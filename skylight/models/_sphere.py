@@ -26,15 +26,17 @@ from torch import Tensor
 from skylight._modes import constant, full_precision, on_cpu, single
 from skylight._module import Module
 from skylight.errors import AssetError, InputError, check_shape
-from skylight.io._tensors import read_tensors, write_tensors
+from skylight.io._tensors import read_tensors, tensors_sha256, write_tensors
 from skylight.models._base import draws
 from skylight.models._lobes import LAMP_PARAMETERS, LampedLight, Lamps
+from skylight.models._manifest import PLACES
 from skylight.models._prior import convex_shape, log_normals
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
 from skylight.sphere._lobes import DiskSplines
 
-SHIPPED = Path(str(files("skylight.models"))) / "data" / "sphere.safetensors"
+SHIPPED = Path(str(files("skylight.models"))) / "data" / PLACES
 MOST_LAMPS = 3
+MOST_ACROSS = 99  # control points of a file, before memory is asked for
 # log radiance, of a mean luminance of 1: a line search may try anything
 _DARKEST, _BRIGHTEST = -12.0, 12.0
 TURNS = 8  # of starts without a lamp
@@ -80,17 +82,64 @@ class Places:
         own = {"across": str(self.across), "kinds": " ".join(self.kinds)}
         write_tensors(path, self.tensors, {**told, **own})
 
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 over all that :meth:`save` writes of the model."""
+        return tensors_sha256(self.tensors, {"kinds": " ".join(self.kinds)})
+
     @staticmethod
     def load(path: Path = SHIPPED) -> "Places":
-        """Read what :meth:`save` wrote; :class:`AssetError` where that is not in the file."""
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        InputError
+            That is not in the file.
+        AssetError
+            The same of the file that comes with skylight.
+        """
         try:
             tensors, told = read_tensors(path)
-            return Places(kinds=tuple(told["kinds"].split()), across=int(told["across"]), **tensors)
+            kinds, across = tuple(told["kinds"].split()), int(told["across"])
+            _check(tensors, len(kinds), across)
+            return Places(kinds=kinds, across=across, **tensors)
+        except FileNotFoundError:
+            reason = f"{path}: no such file"
         except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
-            reason = str(error).partition("\n")[0]
-            raise AssetError(
-                f"{path} holds no usable model of places ({reason}); reinstall skylight"
-            ) from error
+            first = str(error).partition("\n")[0]
+            reason = f"{path} holds no usable model of places ({first})"
+        if path == SHIPPED:
+            raise AssetError(f"{reason}; reinstall skylight")
+        raise InputError(f"{reason}; make one with: skylight train --config sphere")
+
+
+def _check(tensors: Mapping[str, Tensor], kinds: int, across: int) -> None:
+    """ValueError or KeyError for what is no model of so many kinds of place."""
+    if not 4 <= across <= MOST_ACROSS:
+        raise ValueError(f"{across} control points across")
+    points = 2 * DiskSplines(across, DirectionGrid.sky(2)).count
+    latents, components = len(tensors["basis"]), len(tensors["kind"])
+    shapes = {
+        "control": (3, points),
+        "basis": (latents, 3, points),
+        "log_weights": (components,),
+        "means": (components, latents),
+        "precision_factors": (components, latents, latents),
+        "kind": (components,),
+        "log_counts": (kinds, MOST_LAMPS + 1),
+        "lamp_means": (kinds, 4),
+        "lamp_factors": (kinds, 4, 4),
+        "lamp_up": (kinds,),
+        "lamp_ahead": (kinds,),
+    }
+    for name, each in tensors.items():
+        if tuple(each.shape) != shapes[name] or not each.numel():
+            raise ValueError(f"{name} of shape {tuple(each.shape)}, not {shapes[name]}")
+        wanted = torch.int64 if name == "kind" else torch.float32
+        if each.dtype != wanted or not bool(each.isfinite().all()):
+            raise ValueError(f"{name} is not made of finite numbers of type {wanted}")
+    if not bool(((tensors["kind"] >= 0) & (tensors["kind"] < kinds)).all()):
+        raise ValueError("components of an unknown kind of place")
 
 
 @constant()

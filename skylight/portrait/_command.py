@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional
 
-from skylight._names import PLAIN_READING, LightName, MapReading
+from skylight._names import DEFAULT_LIGHT, PLAIN_READING, LightName, MapReading, Place
 from skylight._options import take_care
 from skylight.errors import InputError
 from skylight.io._atomic import require_place
@@ -25,9 +25,10 @@ def relight_portrait(
     sun: Annotated[str | None, NewLight] = None,
     strength: float | None = None,
     ev: float = 0.0,
-    light: LightName = "auto",
+    light: LightName = DEFAULT_LIGHT,
     model: Path | None = None,
     network: str | None = None,
+    place: Place = "auto",
     face: int = 1,
     device: Device = "auto",
     out: Path | None = None,
@@ -37,7 +38,7 @@ def relight_portrait(
 ) -> None:
     """Show a photographed person in another light: a map's, or the one found, turned or moved.
 
-    The light of the photograph is estimated as `skylight estimate --light auto` does; then skin
+    The light of the photograph is estimated as `skylight estimate` does; then skin
     gets the new light's shading, shadows and specular reflection in place of the old one's, hair
     and clothes their ratio, and what lies behind the ratio of the lights on upright surfaces.
     docs/portraits.md tells where that ends. A picture whose light could not be relied on says so
@@ -57,6 +58,7 @@ def relight_portrait(
         light: Light model of the estimate, as for `skylight estimate`.
         model: Folder of a trained model of your own, as for `skylight estimate`.
         network: Class of that model's network, where it is yours, as module:Class.
+        place: Where the photograph was taken, as for `skylight estimate`.
         face: Whose: faces are counted from 1, the largest.
         device: Where light is traced and optimised.
         out: The picture: .png (8-bit sRGB) or .exr (linear, in the photograph's units); by default
@@ -77,7 +79,7 @@ def relight_portrait(
         raise InputError(f"--turn wants degrees, got {turn}")
     if not -16 <= ev <= 16:
         raise InputError(f"--ev lies between -16 and 16 stops, got {ev:g}")
-    place = None if sun is None else _place(sun)
+    moved = None if sun is None else _place(sun)
     from skylight.estimation._photos import estimate_photo
     from skylight.models._bundle import own_model
     from skylight.portrait._files import relit_portrait, write_relit
@@ -89,6 +91,7 @@ def relight_portrait(
             photo,
             light=light,
             model=own_model(model, network),
+            place=place,
             face=face,
             device=device,
             decode="linear" if linear else gamma,
@@ -96,8 +99,8 @@ def relight_portrait(
         )
         if given is not None:
             new = given
-        elif place is not None:
-            new = light_with_sun_at(result.estimate, *place, strength=strength)
+        elif moved is not None:
+            new = light_with_sun_at(result.estimate, *moved, strength=strength)
         else:
             assert turn is not None  # one of the three is required
             new = rotated_light(result.estimate, turn)

@@ -2,7 +2,7 @@
 sun moved."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from skylight._names import PLAIN_READING, MapReading
 from skylight.errors import InputError
-from skylight.inverse._lamp_relighting import LampLight, lamps_radiance
+from skylight.inverse._lamp_relighting import lamps_radiance, without_lamps
 from skylight.inverse._result import Estimate, Lamp
 from skylight.io._files import read_environment_map
 from skylight.portrait._relit import light_in_photo
@@ -88,11 +88,10 @@ class MovableSun:
     def of(estimate: Estimate) -> "MovableSun":
         spread_rad = None
         if estimate.lamps:
-            light = LampLight.of(estimate)
-            main, others = light.lamps[0], light.lamps[1:]
+            main = estimate.lamps[0]
             spread_rad = main.spread_rad
             direction, irradiance = main.direction.double(), main.irradiance.double()
-            rest = replace(light, lamps=others).environment(estimate.environment.layout[0])
+            rest = without_lamps(estimate.environment, [main])
         else:
             sun, rest = split_main_light(estimate.environment)
             direction, irradiance = sun.direction, sun.irradiance

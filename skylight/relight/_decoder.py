@@ -252,8 +252,8 @@ def read_latent(path: str | Path, count: int = LATENT) -> Latent:
         raise InputError(f'{path}: expected {count} numbers, or an object with "latent"')
     if content.get("light", "autoencoder") != "autoencoder":
         raise InputError(
-            f"{path}: the estimate of another light model ({content['light']}); estimate with the "
-            "autoencoder, or relight with the estimate's light probe"
+            f"{path}: the estimate of another light model ({content['light']}); estimate with "
+            "--light autoencoder, or relight with the estimate's light probe"
         )
     version = _version_of(content)
     if version.startswith(_OTHER_DECODER):

@@ -5,16 +5,22 @@ from typing import Annotated, Literal, get_args
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
 
-from skylight._names import DEFAULT_LIGHT, BuiltinName, LightName
+from skylight._names import BuiltinName, LightName, Place
 
 LIGHTS: dict[LightName, str] = {
     "sphere": "Any place, all round",
-    "auto": "Open sky or lamps, whichever is likelier",
     "autoencoder": "Learnt skies",
     "sunsky": "Preetham's sky and a sun",
     "lamps": "Lamps in ambient light",
+    "auto": "Learnt skies or lamps, whichever is likelier",
     "sh9": "Spherical harmonics, 9 coefficients",
     "sh25": "Spherical harmonics, 25 coefficients",
+}
+PLACES: dict[Place, str] = {
+    "auto": "Any place",
+    "outdoors": "Outdoors",
+    "indoors": "Indoors",
+    "flash": "Flash on the camera",
 }
 DICTIONARIES: dict[BuiltinName, str] = {
     "ani": "Anisotropic Gaussians",
@@ -36,7 +42,9 @@ class EstimateRequest(_Request):
     kind: Literal["estimate"]
     photo: Token
     face: Annotated[int, Field(ge=1, le=1000)] | Literal["all"] = 1
-    light: LightName = DEFAULT_LIGHT
+    light: LightName | None = None
+    """None: the studio's default."""
+    place: Place = "auto"
 
 
 class PortraitRequest(_Request):

@@ -41,7 +41,9 @@ async def begin(request: Request, wanted: JobRequest) -> JSONResponse:
     if isinstance(wanted, EstimateRequest):
         photo = studio.photos.get(wanted.photo)
         arguments |= {"path": str(photo.path), "name": photo.name, "pixels": studio.limits.pixels}
-        if studio.model is not None and is_trained(wanted.light):
+        light = wanted.light or studio.light
+        arguments["light"] = light
+        if studio.model is not None and is_trained(light, of_places=studio.of_places):
             arguments |= {"model": str(studio.model), "network": studio.network}
         uses = (photo.id,)
     elif isinstance(wanted, PortraitRequest):

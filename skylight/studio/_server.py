@@ -28,9 +28,9 @@ from starlette.types import ASGIApp
 
 from skylight import __version__
 from skylight.errors import InputError
-from skylight.models._manifest import read_manifest
+from skylight.models._manifest import places_file, read_manifest
 from skylight.studio._guard import Guard, Limits, Refused, answer_failure, answer_refusal, refusal
-from skylight.studio._requests import DICTIONARIES, LIGHTS, what_is_wrong
+from skylight.studio._requests import DICTIONARIES, LIGHTS, PLACES, what_is_wrong
 from skylight.studio._routes import examples, jobs, uploads
 from skylight.studio._state import Studio, own_folder
 from skylight.work._progress import Tell
@@ -114,7 +114,9 @@ async def about(request: Request) -> dict[str, Any]:
             "megapixels": limits.megapixels,
             "jobs": limits.jobs,
         },
+        "light": request.app.state.studio.light,
         "lights": _choices(LIGHTS.items()),
+        "places": _choices(PLACES.items()),
         "dictionaries": _choices(DICTIONARIES.items()),
     }
 
@@ -178,7 +180,7 @@ def serve(
         The port is taken, the host is none of this machine's, ``model`` has no readable
         bundle.json, or ``network`` is not its network's class.
     """
-    manifest = None if model is None else read_manifest(model)
+    manifest = None if model is None or places_file(model) is not None else read_manifest(model)
     if network is not None or (manifest is not None and manifest.network is not None):
         # else its tensors, which need torch, are read by the worker
         from skylight.models._bundle import load_bundle, own_model

@@ -19,6 +19,8 @@ from typing import Any
 
 from starlette.requests import ClientDisconnect, Request
 
+from skylight._names import DEFAULT_LIGHT, DEFAULT_SKY, LightName
+from skylight.models._manifest import places_file
 from skylight.studio._guard import Limits, Refused
 from skylight.studio._jobs import Item, Job, Jobs, Kept, TaskFailed, TaskStopped, WorkerProcess
 from skylight.studio._requests import LampsEdit
@@ -52,6 +54,9 @@ class Studio:
     ) -> None:
         self.limits = limits
         self.model = model  # folder of a trained light model
+        self.of_places = model is not None and places_file(model) is not None
+        of_skies = model is not None and not self.of_places
+        self.light: LightName = DEFAULT_SKY if of_skies else DEFAULT_LIGHT
         self.network = network  # module:Class of its network, where that is the user's
 
         def kept(name: str, most: int) -> Kept:

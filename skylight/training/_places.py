@@ -31,6 +31,7 @@ from skylight.models._lobes import (
     LONGEST,
     MOST_ENERGY,
 )
+from skylight.models._manifest import PLACES
 from skylight.models._prior import GaussianMixture, precision_factors_of
 from skylight.models._sphere import MOST_LAMPS, Places
 from skylight.places._simulated import LIGHTS_NAME, read_lights
@@ -41,7 +42,7 @@ from skylight.training._config import PlacesConfig
 from skylight.work._progress import StageProgress, silent
 from skylight.work._resumable import results_folder
 
-MODEL, SCORES = "sphere.safetensors", "scores.json"
+SCORES = "scores.json"
 ROWS = 32
 FLOOR = 3e-3  # radiance, of a mean luminance of 1: what is darker is alike
 NORMALS = 64
@@ -323,7 +324,7 @@ def train_places(config: PlacesConfig, progress: StageProgress = silent) -> Path
     places = places_of(decoder, model, train, kinds, config.places_a_component, config.seed)
     progress("prior", 1.0)
     with results_folder(config.out) as folder:
-        places.save(folder / MODEL, {"places": str(len(train.kind))})
+        places.save(folder / PLACES, {"places": str(len(train.kind))})
         write_json(folder / SCORES, {"places": len(train.kind), **_summary(decoder, model, held)})
     return config.out
 

@@ -22,7 +22,10 @@ export interface LightMap {
 export interface About {
   version: string;
   limits: { upload_mb: number; megapixels: number; jobs: number };
+  /** The light model that a form begins with. */
+  light: string;
   lights: { name: string; title: string }[];
+  places: { name: string; title: string }[];
   dictionaries: { name: string; title: string }[];
 }
 /** A photograph to try; `expected` says whether its light is found. */

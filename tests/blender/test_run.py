@@ -104,7 +104,7 @@ def test_a_check_of_what_was_printed_stops_the_run() -> None:
     step = python("print('skylight 0.9.0')")
     run = Run([Step(step.stage, step.command, check_version), python("print()", stage="never")])
     assert ended(run) == "failed"
-    assert run.error == "skylight 0.9.0: this extension needs skylight 0.2 to below 0.4"
+    assert run.error == "skylight 0.9.0: this extension needs skylight 0.3 to below 0.4"
     assert run.stage == "starting"
 
 
@@ -182,8 +182,8 @@ def test_the_version_that_there_is_is_compatible() -> None:
     ["skylight 0.1.0", "skylight 0.4.0", "skylight 1.1.0", "skylight", "", "Python 0.1.0"],
 )
 def test_other_versions_are_refused(printed: str) -> None:
-    assert COMPATIBLE == ((0, 2), (0, 4))
-    with pytest.raises(Failure, match=r"needs skylight 0\.2 to below 0\.4"):
+    assert COMPATIBLE == ((0, 3), (0, 4))
+    with pytest.raises(Failure, match=r"needs skylight 0\.3 to below 0\.4"):
         check_version(printed)
 
 

@@ -304,7 +304,11 @@ class TestFailures:
             (["--workers", "2", "--cluster", "tcp://there:1"], "contradict each other"),
             (["--batch", "0"], "--batch must be 1 or more, got 0"),
             (["--batch", "2", "--light", "sh9"], "sh9 is solved photo by photo"),
-            (["--batch", "2", "--cluster", "tcp://there:1"], "contradict each other"),
+            (["--batch", "2"], "sphere is solved photo by photo; leave it out, or choose"),
+            (
+                ["--batch", "2", "--light", "sunsky", "--cluster", "tcp://there:1"],
+                "contradict each other",
+            ),
             (["--workers", "-1"], "--workers must be 0 or more"),
             (["--light", "sh9", "--model", "mine"], "sh9 has no trained model"),
         ],

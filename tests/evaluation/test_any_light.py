@@ -261,8 +261,8 @@ def test_a_face_under_a_map_from_end_to_end(tmp_path: Path) -> None:
     path = evaluate("any-light", quick=True, data=data, out=tmp_path / "out", workers=1)
     results = json.loads(path.read_text())
     assert results["problems"] == {}
-    assert list(results["rows"]) == ["sh25", "autoencoder", "lamps", OURS, GREY]
-    for method in ("sh25", "autoencoder", "lamps", OURS):
+    assert list(results["rows"]) == [OURS, "sh25", "autoencoder", "lamps", "auto", GREY]
+    for method in (OURS, "sh25", "autoencoder", "lamps", "auto"):
         row = results["rows"][method]
         # azimuth at an elevation of 10 degrees
         assert row["main_lamp_deg"]["mean"] == pytest.approx(9.85, abs=0.2)
@@ -304,10 +304,10 @@ def item(number: int, file: str, **metrics: tuple[float, float]) -> Item:
 
 def test_methods_are_compared_by_the_mean_over_each_maps_faces() -> None:
     items = [
-        item(0, "a", auto=(1.0, 1.0), sh25=(2.0, 2.0), grey=(2.0, 2.0)),
-        item(1, "a", auto=(3.0, 1.0), sh25=(2.5, 2.0), grey=(2.5, 2.0)),  # better in the mean
-        item(2, "b", auto=(1.0, 1.0), sh25=(2.0, 2.0), grey=(0.5, 2.0)),  # grey is better
-        item(3, "c", auto=(1.0, 3.0), sh25=(2.0, 2.0), grey=(2.0, 4.0)),  # sh25 in all but mae
+        item(0, "a", sphere=(1.0, 1.0), sh25=(2.0, 2.0), grey=(2.0, 2.0)),
+        item(1, "a", sphere=(3.0, 1.0), sh25=(2.5, 2.0), grey=(2.5, 2.0)),  # better in the mean
+        item(2, "b", sphere=(1.0, 1.0), sh25=(2.0, 2.0), grey=(0.5, 2.0)),  # grey is better
+        item(3, "c", sphere=(1.0, 3.0), sh25=(2.0, 2.0), grey=(2.0, 4.0)),  # sh25 in all but mae
         Item(name="4", metrics={}, facts={"map": "d"}, problem="no face"),
     ]
     others = ["sh25", "grey"]
@@ -316,13 +316,13 @@ def test_methods_are_compared_by_the_mean_over_each_maps_faces() -> None:
     assert share_of_maps_better(items, others, ("mae", "rmse")) == pytest.approx(1 / 3)
 
 
-def test_goals_are_those_of_auto(tmp_path: Path) -> None:
+def test_goals_are_those_of_the_default_light(tmp_path: Path) -> None:
     data = rendered_folder(tmp_path / "faces", [LAMP], room())
     evaluation = AnyLight(data=data)
     others = {"sh25": (2.0, 2.0), "autoencoder": (2.0, 2.0), "grey": (2.0, 2.0)}
     assert evaluation.checks(summarise([item(0, "a", **others)]), []) == {}
     for own, ok in ((1.0, True), (2.5, False)):
-        items = [item(i, "a", auto=(own, own), **others) for i in range(3)]
+        items = [item(i, "a", sphere=(own, own), **others) for i in range(3)]
         for one, (angle, part) in zip(items, ((5.0, 1.0), (6.0, 1.0), (90.0, 0.2)), strict=True):
             worse = 1 if ok else 3
             extra = {"main_lamp_deg": angle * worse, "lamps_found": part / worse}

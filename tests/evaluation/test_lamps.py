@@ -102,7 +102,7 @@ def test_every_part_left_out_has_a_row(tmp_path):
     evaluation = Lamps(data=tmp_path, ablation=True, options=QUICK)
     item = evaluation.measure("a_1.png", tmp_path / "picture.png")
     parts = ("_balanced", "_varying_skin", "_trusted_normals", "_68_points")
-    names = {"autoencoder" + name for name in ("", *parts)}
+    names = {lamps.OURS + name for name in ("", *parts)}
     assert names <= set(item.metrics)
     assert item.metrics["autoencoder"]["angle_deg"] < 15
     others = [item.metrics[name]["angle_deg"] for name in names]

@@ -123,10 +123,10 @@ def test_lamps_beside_a_face_count_and_those_behind_do_not(lamp_folder: Path) ->
     assert lamps.Lamps(data=lamp_folder, every=2).items() == ["a_1.png", "b_3.png"]
     items = {name: evaluation.measure(name, lamp_folder / "p.png") for name in evaluation.items()}
     assert {name: sorted(item.metrics) for name, item in items.items()} == {
-        "a_1.png": ["auto", "autoencoder", "lamps"],
-        "b_2.png": ["auto", "autoencoder", "lamps"],
+        "a_1.png": sorted(lamps.METHODS),
+        "b_2.png": sorted(lamps.METHODS),
         "b_3.png": [],
-        "c_4.png": ["auto", "autoencoder", "lamps"],
+        "c_4.png": sorted(lamps.METHODS),
     }
     ahead = items["a_1.png"].metrics["autoencoder"]
     assert set(ahead) == {"angle_deg", "elevation_deg", "azimuth_deg", "in_region", "region_sr"}
@@ -160,12 +160,12 @@ def lamp_rows(median: float, mean: float, bias: float) -> dict:
         "azimuth_deg": {"median": -bias},
         "in_region": {"mean": 0.9},
     }
-    return dict.fromkeys(("autoencoder", "lamps", "auto"), row)
+    return dict.fromkeys(lamps.METHODS, row)
 
 
 def test_goals_of_lamps(lamp_folder: Path) -> None:
     def item(name: str, angle: float, word: str = "sure", problem: str = "") -> Item:
-        metrics = {} if problem else {"autoencoder": {"angle_deg": angle}}
+        metrics = {} if problem else {lamps.OURS: {"angle_deg": angle}}
         facts = {"direction": word, "chosen": "lamps"}
         return Item(name=name, metrics=metrics, facts=facts, problem=problem)
 
@@ -247,7 +247,8 @@ def test_a_rendered_face_has_rows_by_method_and_by_the_thesis_solver(
     thesis = item.metrics["autoencoder_thesis"]
     assert (thesis["seconds"], thesis["cpu_seconds"]) == (3, 2)
     assert thesis["full_dw_mae"] == pytest.approx(0, abs=1e-6)
-    ours = item.metrics["autoencoder"]
+    ours = item.metrics["sphere"]
+    assert set(ours) == set(item.metrics["autoencoder"])
     sun = face.environment.brightest_direction()
     turned = face.environment.rotate_azimuth(math.radians(10)).brightest_direction()
     apart = math.degrees(float(angle_between(sun, turned)))
@@ -437,7 +438,7 @@ def test_an_ablation_of_lamps_leaves_one_part_out_in_each_row(
     photo = made(Photo, encoded=None, pixels=None, clipped=None)
     rows = lamps.Lamps(data=lamp_folder)._ablation(photo, made(FaceView, observation=seen))
     names = ("_balanced", "_varying_skin", "_trusted_normals", "_68_points", "_dlib")
-    assert list(rows) == [f"autoencoder{name}" for name in names]
+    assert list(rows) == [f"{lamps.OURS}{name}" for name in names]
     usual = EstimateOptions().solver.weights
     assert asked[0][0] == replace(usual, white_balance_spread=0.0)
     assert asked[1][0] == replace(usual, pigment_spread=1.0)
@@ -497,10 +498,10 @@ def test_a_photograph_with_a_note_is_told_by_its_side(
     assert evaluation.items() == list(notes)
     assert replace(evaluation, every=2).items() == ["a.png", "c.png"]
     items = [evaluation.measure(name, tmp_path / "p.png") for name in notes]
-    assert list(items[0].metrics) == ["autoencoder", "lamps", "auto", "sh9", "sh25"]
+    assert list(items[0].metrics) == list(real_faces.PHOTO_METHODS)
     sides = [item.metrics["sh9"].get("right_side") for item in items]
     assert sides == [1.0, None, 0.0]
-    ours = items[0].metrics["autoencoder"]
+    ours = items[0].metrics[real_faces.OURS]
     assert ours == {
         "finite": 1.0,
         "residual": 0.25,
@@ -530,7 +531,7 @@ def test_goals_of_photographs(tmp_path: Path) -> None:
     evaluation = real_faces.RealFaces(data=tmp_path)
     for finite, right, met in ((1.0, 0.8, True), (0.99, 0.79, False)):
         row = {"finite": {"mean": finite}, "right_side": {"mean": right, "n": 7}}
-        checks = evaluation.checks({"autoencoder": row}, [])
+        checks = evaluation.checks({real_faces.OURS: row}, [])
         assert list(checks) == [
             "probes without NaN or infinity",
             "light from the side that the note names, of 7 photographs",
@@ -609,7 +610,7 @@ def test_items_of_speed_are_photographs_and_runs(
     for number in range(3):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((4, 4, 3), 9, np.uint8))
     evaluation = speed.Speed(data=tmp_path, count=2)
-    runs = ["1 worker", "2 workers", "2 workers, batches of 16"]
+    runs = ["1 worker", "2 workers", "2 workers, batches of 16 (autoencoder)"]
     assert evaluation.items() == ["0.png", "1.png", *runs]
     asked = []
 
@@ -666,6 +667,7 @@ def test_a_run_of_the_command_is_timed_and_counted(
     assert {k: v for k, v in options.items() if k != "--out"} == {
         "--workers": "2",
         "--batch": "16",
+        "--light": "autoencoder",  # photographs are solved together for skies alone
         "--device": "auto",
     }
     assert found["photos_per_minute"] == 60 * 4 / 30

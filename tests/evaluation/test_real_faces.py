@@ -106,8 +106,8 @@ def test_real_faces(tmp_path, shared_data):
     path = run_evaluation(RealFaces(data=folder), tmp_path / "out", command="c")
     results = json.loads(path.read_text())
     assert results["items"][name]["side"] == "right"
-    assert results["rows"]["autoencoder"]["finite"]["mean"] == 1
-    assert results["rows"]["autoencoder"]["right_side"]["n"] == 1
+    assert results["rows"]["sphere"]["finite"]["mean"] == 1
+    assert results["rows"]["sphere"]["right_side"]["n"] == 1
 
 
 @pytest.mark.parametrize(

@@ -10,15 +10,17 @@ from skylight.imaging._edits import UNEDITED
 from skylight.inverse._descent import Stage
 from skylight.inverse._faces import Level
 from skylight.inverse._lamp_relighting import FaceTransport, LampLight, lamps_radiance
-from skylight.inverse._lamps import MAP_ROWS, LampsOptions, LampsProblem
+from skylight.inverse._lamps import MAP_ROWS, LampsOptions, LampsProblem, in_pictures_units
 from skylight.inverse._problem import solve
 from skylight.inverse._scan import SCAN_HEIGHT
 from skylight.models._lamps import LampsLight
+from skylight.models._sphere import SphereLight, SpherePrior
 from skylight.sphere._envmap import luminance
 from skylight.transport._normal_modes import NormalModes
 from tests.inverse.test_lamps import lit_ball
 from tests.inverse.test_solve import ALBEDO_PRIOR, MODES, ball_normals
 from tests.lamp_lit import EXPOSURE, ambient_of, lamp_lit, lamp_params
+from tests.sunny_face import sunny_estimate
 
 FEW = LampsOptions(
     coarse=(Stage(level=Level(2), starts=2, iterations=4, even_skin=True, steps="gauss-newton"),),
@@ -29,7 +31,9 @@ FEW = LampsOptions(
 def known_light() -> LampLight:
     params = lamp_params()
     _, lamps = lamp_lit(params)
-    return LampLight(ambient=params[:16], level=EXPOSURE, lamps=lamps)
+    heights = (SCAN_HEIGHT, MAP_ROWS)
+    ambient = {rows: LampsLight(0, rows).ambient(params[:16].double()) for rows in heights}
+    return LampLight(ambient=ambient, level=EXPOSURE, lamps=lamps)
 
 
 def test_an_edit_that_changes_nothing_gives_the_map() -> None:
@@ -48,6 +52,24 @@ def test_without_lamps_there_is_the_ambient_light() -> None:
     assert float(luminance(light.ambient_irradiance())) == pytest.approx(math.pi * EXPOSURE)
     dark = replace(light, level=0.0)
     assert not bool(dark.radiance(SCAN_HEIGHT).any())
+
+
+def test_any_place_has_ambient_light_and_lamps_too() -> None:
+    """The map of its parameters, from ambient light and lamps apart."""
+    params = SpherePrior(2).sample(1, torch.Generator().manual_seed(5))[0]
+    latents = SphereLight(0).latents
+    params = torch.cat([params[:latents], torch.tensor([0.8]), params[latents:]])
+    environment, lamps = in_pictures_units(SphereLight(2), params, EXPOSURE)
+    found = replace(sunny_estimate().estimate, light="sphere", environment=environment, lamps=lamps)
+    face = replace(found.faces[0], exposure=EXPOSURE)
+    light = LampLight.of(replace(found, params=params, faces=(face,)))
+    torch.testing.assert_close(
+        light.environment(MAP_ROWS).radiance, environment.radiance, rtol=1e-3, atol=1e-5
+    )
+    on_faces = SphereLight(2)(params.double())
+    torch.testing.assert_close(
+        light.radiance(SCAN_HEIGHT).double(), EXPOSURE * on_faces, rtol=1e-3, atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("to", [(0.0, 1.0, 0.0), (0.0, -0.2, 1.0), (-0.7, -0.7, 0.1)])

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.errors import AssetError, InputError
+from skylight.errors import InputError
 from skylight.models._lobes import LAMP_PARAMETERS
 from skylight.models._sphere import TURNS, Places, SphereLight, SpherePrior, shipped, turned
 from skylight.sphere._envmap import luminance
@@ -226,7 +226,7 @@ def test_models_are_written_and_read(tmp_path) -> None:
     for name, each in places.tensors.items():
         assert torch.equal(each, read.tensors[name])
     path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(AssetError, match="holds no usable model of places"):
+    with pytest.raises(InputError, match="holds no usable model of places"):
         Places.load(path)
 
 

@@ -11,7 +11,7 @@ from skylight.errors import InputError
 from skylight.inverse._lamp_relighting import LampLight
 from skylight.inverse._result import Estimate, Lamp
 from skylight.io._files import write_environment_map
-from skylight.models._lamps import AMBIENT_PARAMETERS
+from skylight.models._lamps import AMBIENT_PARAMETERS, LampsLight
 from skylight.portrait._lights import ADDED_SUN, light_of_map, light_with_sun_at, rotated_light
 from skylight.portrait._relit import light_in_photo
 from skylight.relight._lamps import split_main_light
@@ -79,12 +79,12 @@ def test_a_lamp_moved_to_where_it_is_gives_the_light_found() -> None:
         irradiance=torch.tensor([1.0, 0.8, 0.6]),
         spread_rad=math.radians(20),
     )
-    ambient = torch.zeros(AMBIENT_PARAMETERS)
+    ambient = {64: LampsLight(0, 64).ambient(torch.zeros(AMBIENT_PARAMETERS))}
     face = dataclasses.replace(sunny_estimate().estimate.faces[0], exposure=0.2)
     estimate = dataclasses.replace(
-        sunny_estimate().estimate, light="lamps", lamps=(lamp,), params=ambient, faces=(face,)
+        sunny_estimate().estimate, light="lamps", lamps=(lamp,), faces=(face,)
     )
-    whole = LampLight.of(estimate).environment(64)
+    whole = LampLight(ambient=ambient, level=0.2, lamps=(lamp,)).environment(64)
     estimate = dataclasses.replace(estimate, environment=whole)
     again = light_with_sun_at(estimate, 30.0, 30.0).environment
     torch.testing.assert_close(

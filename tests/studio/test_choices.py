@@ -5,11 +5,12 @@ import sys
 from importlib.resources import files
 from typing import get_args
 
-from skylight._names import LIGHT_NAMES
+from skylight._names import LIGHT_NAMES, PLACES as NAMED_PLACES
 from skylight.csc._dictionary import BuiltinName
 from skylight.studio._requests import (
     DICTIONARIES,
     LIGHTS,
+    PLACES,
     VoxelRequest,
 )
 from skylight.studio.tasks._probes import STARS
@@ -18,6 +19,7 @@ from tests.studio.conftest import PATIENCE_S
 
 def test_choices_are_those_of_the_package() -> None:
     assert tuple(LIGHTS) == LIGHT_NAMES
+    assert tuple(PLACES) == NAMED_PLACES
     assert set(DICTIONARIES) == set(get_args(BuiltinName))
     assert get_args(VoxelRequest.__annotations__["probe"]) == tuple(STARS)
 

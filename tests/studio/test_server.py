@@ -15,7 +15,7 @@ from skylight import __version__
 from skylight.errors import InputError
 from skylight.studio import _server as static_files
 from skylight.studio._guard import is_own
-from skylight.studio._requests import LIGHTS
+from skylight.studio._requests import LIGHTS, PLACES
 from skylight.studio._server import serve
 from tests.studio.conftest import (
     COMMAND,
@@ -34,6 +34,8 @@ def test_it_says_what_it_takes(client: httpx.Client) -> None:
     assert about["version"] == __version__
     assert about["limits"] == {"upload_mb": UPLOAD_MB, "megapixels": MEGAPIXELS, "jobs": JOBS}
     assert [light["name"] for light in about["lights"]] == list(LIGHTS)
+    assert [place["name"] for place in about["places"]] == list(PLACES)
+    assert about["light"] == "sphere"
 
 
 def test_the_page_is_sent_again_only_where_it_changed(client: httpx.Client) -> None:

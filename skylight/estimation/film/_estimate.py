@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from skylight._modes import without_autocast
+from skylight._names import DEFAULT_FILM_LIGHT, DEFAULT_LIGHT
 from skylight.errors import InputError
 from skylight.estimation._manifest import file_hash
 from skylight.estimation._settings import EstimateSettings
@@ -60,7 +61,8 @@ class FilmSettings:
     """What the light of a film depends on besides its pictures.
 
     Of ``estimate`` the :data:`_OPTIONS` count, and the device; ``keyframes`` are the most that
-    light is estimated at, and ``rate`` is how many frames of a folder are shown in a second.
+    light is estimated at, and ``rate`` is how many frames of a folder are shown in a second. In
+    place of the default light of photographs stands that of films.
     """
 
     estimate: EstimateSettings = field(default_factory=EstimateSettings)
@@ -80,7 +82,10 @@ class FilmSettings:
                 raise InputError(
                     f"{option}: not for films, in which one face is followed by MediaPipe"
                 )
-        light = self.estimate.light_there
+        if self.estimate.light == DEFAULT_LIGHT:
+            of_films = replace(self.estimate, light=DEFAULT_FILM_LIGHT)
+            object.__setattr__(self, "estimate", of_films)
+        light = self.estimate.light
         if light == "auto" or not is_sky(light):
             raise InputError(
                 f"--video is for the sky: --light autoencoder or sunsky, not {name_of(light)}"

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from skylight._figures import white_of
-from skylight._names import LightName
+from skylight._names import LightName, Place
 from skylight.estimation._photos import estimate_photo
 from skylight.estimation._report import over_grey, write_results
 from skylight.estimation._summary import PhotoEstimate
@@ -29,7 +29,8 @@ from skylight.inverse._lamp_relighting import FaceTransport, LampLight
 from skylight.inverse._result import MAP_ROWS, Lamp
 from skylight.io._files import write_environment_map, write_png
 from skylight.io._tensors import read_tensors, write_tensors
-from skylight.models._bundle import own_model
+from skylight.models._bundle import load_model, own_model
+from skylight.models._sphere import Places
 from skylight.relight._lamps import disc_diameter_rad
 from skylight.sphere._frame import direction_from_angles
 from skylight.studio.tasks._portrait import command_of, keep_person
@@ -50,6 +51,7 @@ def estimate_light(
     light: LightName,
     model: str | None = None,
     network: str | None = None,
+    place: Place = "auto",
     *,
     tell: StageProgress,
 ) -> dict[str, Any]:
@@ -62,15 +64,24 @@ def estimate_light(
     chosen = own_model(None if model is None else Path(model), network)
     # the light alone, which a page moves and switches
     result = estimate_photo(
-        photo, names=[name], light=light, model=chosen, face=face, detail="none", progress=tell
+        photo,
+        names=[name],
+        light=light,
+        model=chosen,
+        place=place,
+        face=face,
+        detail="none",
+        progress=tell,
     )
     tell("writing the results", 0.0)
     write_results(Path(folder), result)
     # beside the folder, as the page offers all files in it
-    keep_person(Path(folder).parent, result, command_of(name, light, face, model, network))
+    keep_person(Path(folder).parent, result, command_of(name, light, face, model, network, place))
     described = json.loads((Path(folder) / "estimate.json").read_text(encoding="utf-8"))
-    if result.estimate.lamps and result.estimate.light == "lamps":  # others are no ambient light
-        described["lamp_facts"] = keep_lamps(Path(folder).parent, result)
+    if result.estimate.lamps:
+        own = None if chosen is None else load_model(chosen)
+        lit = LampLight.of(result.estimate, own if isinstance(own, Places) else None)
+        described["lamp_facts"] = keep_lamps(Path(folder).parent, result, lit)
     return described | {"camera": _preview_camera(result, preview_scale(photo))}
 
 
@@ -102,14 +113,13 @@ class _Face:
         return [tone_map(picture, white=self.white) for picture in (self.image, rendered)]
 
 
-def keep_lamps(folder: Path, result: PhotoEstimate) -> dict[str, Any]:
+def keep_lamps(folder: Path, result: PhotoEstimate, light: LampLight) -> dict[str, Any]:
     """Write what :func:`light_edited` needs; what the page's table has beside estimate.json.
 
     ``diameters_deg`` are those of discs that are as wide as the lamps.
     """
-    light = LampLight.of(result.estimate)
     tensors = {
-        "ambient": light.ambient,
+        **{f"ambient.{rows}": radiance for rows, radiance in light.ambient.items()},
         "level": torch.tensor(light.level, dtype=torch.float64),
         "directions": torch.stack([lamp.direction for lamp in light.lamps]),
         "irradiances": torch.stack([lamp.irradiance for lamp in light.lamps]),
@@ -183,7 +193,12 @@ def _kept(folder: str) -> tuple[LampLight, list[_Face]]:
         Lamp(direction=direction, irradiance=irradiance, spread_rad=float(spread_rad))
         for direction, irradiance, spread_rad in zip(*rows, strict=True)
     )
-    light = LampLight(ambient=tensors["ambient"], level=float(tensors["level"]), lamps=lamps)
+    ambient = {
+        int(name.removeprefix("ambient.")): tensor
+        for name, tensor in tensors.items()
+        if name.startswith("ambient.")
+    }
+    light = LampLight(ambient=ambient, level=float(tensors["level"]), lamps=lamps)
     faces: list[_Face] = []
     while f"{len(faces)}.matt" in tensors:
         start = f"{len(faces)}."

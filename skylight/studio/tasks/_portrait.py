@@ -28,7 +28,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from skylight._names import LightName
+from skylight._names import LightName, Place
 from skylight.estimation._summary import PhotoEstimate
 from skylight.faces._fit import FaceFit
 from skylight.faces._observe import SKIN_SPECULAR
@@ -85,9 +85,11 @@ def command_of(
     face: int | Literal["all"],
     model: str | None,
     network: str | None = None,
+    place: Place = "auto",
 ) -> dict[str, Any]:
     """``command`` and ``is_alone`` of :class:`KeptPerson`."""
     words = ["skylight", "relight-portrait", name, "--light", light]
+    words += [] if place == "auto" else ["--place", place]
     words += [] if face in (1, "all") else ["--face", str(face)]
     words += [] if model is None else ["--model", model]
     words += [] if network is None else ["--network", network]

@@ -88,7 +88,7 @@ function build(): HTMLElement {
       el(
         "p",
         { class: "lead" },
-        "A face in a photo tells where the light came from. Give one outdoor portrait, and get its light as an environment map, with an object of yours standing in it.",
+        "A face in a photo tells where the light came from. Give one portrait, and get its light as an environment map, with an object of yours standing in it.",
       ),
     ),
     drop.element,
@@ -125,8 +125,8 @@ function photoWork(photo: Photo): { element: HTMLElement; leave: () => void } {
   const run = async (): Promise<void> => {
     start.disabled = true;
     const face = chooser.chosen;
-    const { name, title } = light.chosen;
-    const done = await job.run<EstimateResult>({ kind: "estimate", photo: photo.photo, face, light: name });
+    const { name, title, place } = light.chosen;
+    const done = await job.run<EstimateResult>({ kind: "estimate", photo: photo.photo, face, light: name, place });
     start.disabled = false;
     if (!done) return;
     jobs.push(done.job);

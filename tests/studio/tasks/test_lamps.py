@@ -160,7 +160,7 @@ def test_several_faces_are_seen_below_each_other(tmp_path: Path) -> None:
     result = estimate_photo(two, light="lamps", face="all", workers=1)
     assert len(result.seen) == 2
     assert result.estimate.lamps
-    keep_lamps(tmp_path, result)
+    keep_lamps(tmp_path, result, LampLight.of(result.estimate))
     seen, rendered = panels(tmp_path, as_found(result.estimate.lamps))
     assert seen.shape == rendered.shape
     top = 0

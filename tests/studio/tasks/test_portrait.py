@@ -223,6 +223,8 @@ def test_the_command_line_names_what_was_chosen() -> None:
     own = command_of("me.png", "auto", 1, "own", "own:Mine")["command"]
     assert own.endswith("me.png --light auto --model own --network own:Mine")
     assert not command_of(PHOTO, "auto", "all", None)["is_alone"]
+    there = command_of("me.png", "sphere", 1, None, place="indoors")["command"]
+    assert there == "skylight relight-portrait me.png --light sphere --place indoors"
 
 
 def test_a_portrait_is_asked_of_its_task(tmp_path: Path) -> None:
