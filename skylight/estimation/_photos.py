@@ -148,9 +148,12 @@ class Pictures:
         names = tuple(names or (_name(one, k, len(images)) for k, one in enumerate(images, 1)))
         known = _known_of(photos[0], taken, ignore_exif_sun=settings.ignore_exif_sun)
         prior, of_sun = sun_prior(known)
-        if prior is not None and not follows_clock(settings.light_there, settings.prior):
+        if prior is not None and not follows_clock(
+            settings.light_there, settings.prior, settings.place
+        ):
             name = name_of(settings.light_there)
-            prior, of_sun = None, (f"{name}: no light by the clock, time and place were not used",)
+            told = name if settings.place == "auto" else f"{name}, {settings.place}"
+            prior, of_sun = None, (f"{told}: no light by the clock, time and place were not used",)
         notes = (*(f"{names[0]}: {note}" for note in known.notes), *of_sun, *_unused(taken, known))
         return Pictures(
             settings=settings,

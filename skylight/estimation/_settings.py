@@ -98,7 +98,7 @@ class EstimateSettings:
         same, and for "auto" and "sphere" the exposure of the first picture.
     ground
         The albedo of the ground where it is known, for skies over a ground ("auto",
-        "autoencoder", "sunsky", your own); by default what is usual.
+        "autoencoder", "sunsky", your own) and "sphere"; by default what is usual.
     place
         "outdoors", "indoors" or "flash" (on the camera) where that is known: chooses the light
         model in place of "auto" and the default, and rules out kinds of place for "sphere".

@@ -93,7 +93,8 @@ def estimate_light(
         efforts of their own, harmonics none.
     sun_prior
         What time, place and heading tell of the sun, by
-        :func:`skylight.inverse._sun_prior.sun_prior`.
+        :func:`skylight.inverse._sun_prior.sun_prior`. Of "sphere" the sun is one of the lamps, as
+        likely as the place is under the open sky; indoors and with a flash it does not count.
     exposure
         The exposure value at ISO 100, which tells "auto" and "sphere" of rooms and daylight
         (:func:`~skylight.imaging._exif.exposure_value`); others do not use it.
@@ -109,8 +110,8 @@ def estimate_light(
     ------
     InputError
         No observation, or one without a usable pixel; ``photos`` that do not count them; an
-        unknown light model, or one that is not what a light model is; lamps, or another light of
-        the whole sphere, with a sun prior; no such device.
+        unknown light model, or one that is not what a light model is; lamps, or a light of the
+        whole sphere of your own, with a sun prior; no such device.
     """
     if isinstance(observations, Observation):
         observations = (observations,)
@@ -200,8 +201,8 @@ def light_problems(
     where, options = choose_device(device), options or SolverOptions()
     if not follows_clock(light, prior) and any(one is not None for one in sun_priors):
         raise InputError(
-            "lamps are not the sun, nor is light of the whole sphere: leave sun_prior out, or "
-            f"choose another light than {name_of(light)}"
+            "lamps are not the sun, nor is light of the whole sphere of your own: leave sun_prior "
+            f"out, or choose another light than {name_of(light)}"
         )
     modes, skin = SkinPrior.load().means.float().to(where), albedo_prior().to(where)
     lamps = LampsOptions(weights=options.weights)
@@ -210,7 +211,10 @@ def light_problems(
         harmonics = HarmonicLight(degree).to(where)
         return [HarmonicProblem(harmonics, skin, modes, one) for one in sun_priors]
     if light == "sphere":
-        return [sphere_problem(skin, modes, lamps, place, each) for each in exposures]
+        return [
+            sphere_problem(skin, modes, lamps, place, exposure, one, options.ground)
+            for exposure, one in zip(exposures, sun_priors, strict=True)
+        ]
     if light == "lamps":
         towards = towards_of(place)
         return [LampsProblem(skin, modes, lamps, towards=towards) for _ in sun_priors]

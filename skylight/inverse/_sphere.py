@@ -5,6 +5,7 @@ As lamps in ambient light (:mod:`skylight.inverse._lamps`), with the light model
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
@@ -16,6 +17,8 @@ from skylight.inverse._auto import open_sky_log_odds
 from skylight.inverse._descent import Stage
 from skylight.inverse._faces import Level
 from skylight.inverse._lamps import LampFamily, LampsOptions, LampsProblem
+from skylight.inverse._sun_prior import SunPrior
+from skylight.models._ground import KnownGround
 from skylight.models._prior import GaussianMixture
 from skylight.models._sphere import SphereLight, SpherePrior
 
@@ -42,10 +45,14 @@ def sphere_problem(
     options: LampsOptions,
     place: Place = "auto",
     exposure: float | None = None,
+    sun_prior: SunPrior | None = None,
+    ground: KnownGround | None = None,
 ) -> LampsProblem:
-    """An empty problem of this light, in a ``place`` where that is known.
+    """An empty problem of this light, in a ``place`` and over a ``ground`` where they are known.
 
-    The ``exposure`` value tells open sky by day from rooms and nights.
+    The ``exposure`` value tells open sky by day from rooms and nights. ``sun_prior`` is what clock
+    and place tell: the main light is the sun as likely as the place is under the open sky, and
+    that of a flash is the camera's.
     """
     log_odds = {"outdoors": open_sky_log_odds(exposure)}
     log_odds |= dict.fromkeys(RULED_OUT.get(place, ()), -math.inf)
@@ -57,7 +64,24 @@ def sphere_problem(
         smooth=True,
     )
     efforts = replace(options, coarse=COARSE, fine=FINE)
-    return LampsProblem(albedo_prior, albedo_modes, efforts, family, towards=towards_of(place))
+    if sun_prior is not None:
+        sun_prior = sun_prior.anywhere(0.0 if place == "flash" else _under_open_sky(log_odds))
+    return LampsProblem(
+        albedo_prior,
+        albedo_modes,
+        efforts,
+        family,
+        towards=towards_of(place),
+        sun_prior=sun_prior,
+        ground=ground,
+    )
+
+
+def _under_open_sky(log_odds: Mapping[str, float]) -> float:
+    """How likely that is beforehand; at night clocks tell nothing."""
+    prior = SpherePrior(0, log_odds=log_odds)
+    mine = torch.tensor([kind in OPEN_SKY for kind in prior.kinds])[prior.kind]
+    return float(prior.log_weights[mine].exp().sum())
 
 
 def towards_of(place: Place) -> Float[Tensor, "1 3"] | None:
