@@ -62,7 +62,6 @@ LightTarget = Literal["threejs", "sh", "ar", "gltf", "usd", "mitsuba", "blender"
 LightName = Literal["sphere", "autoencoder", "sunsky", "lamps", "auto", "sh9", "sh25"]
 DEFAULT_LIGHT: LightName = "sphere"
 DEFAULT_SKY: LightName = "autoencoder"  # for what only skies have: light_at
-DEFAULT_FILM_LIGHT: LightName = DEFAULT_SKY  # a light that drifts is a sky's
 LIGHT_NAMES: tuple[LightName, ...] = get_args(LightName)
 # Skies above a ground ("auto" may choose one)
 SKY_LIGHTS: tuple[LightName, ...] = ("autoencoder", "sunsky", "auto")

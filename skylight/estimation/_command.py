@@ -119,9 +119,9 @@ def estimate(
         heading: Where the camera looked: degrees clockwise from true north.
         ignore_exif_sun: Do not use time, place and heading of the EXIF data.
         keep_place: Write time, place and heading into estimate.json; they are left out else.
-        ground_albedo: The ground's albedo for skies, as R,G,B or R,G,B,SPREAD (linear, 0 to 1; the
-            spread is relative, 0.1 without it), or the file of `skylight probe ground`; by
-            default what is usual of grounds.
+        ground_albedo: The ground's albedo for skies and sphere, as R,G,B or R,G,B,SPREAD (linear,
+            0 to 1; the spread is relative, 0.1 without it), or the file of `skylight probe ground`;
+            by default what is usual of grounds.
         detail: What the map shows beside its light, which stays the same: none, photo (the
             picture's own pixels inside its view, without the person), or mirrored (its texture
             round the sphere too: invented, for reflections).

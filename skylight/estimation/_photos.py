@@ -150,11 +150,12 @@ class Pictures:
         prior, of_sun = sun_prior(known)
         # EXIF data, which most photographs have, choose no light
         by_hand = prior is not None and taken is not None
-        if by_hand and not follows_clock(settings.light, settings.prior):
+        if by_hand and not follows_clock(settings.light, settings.prior, settings.place):
             settings = settings.for_skies("time, place or heading")
-        if prior is not None and not follows_clock(settings.light, settings.prior):
+        if prior is not None and not follows_clock(settings.light, settings.prior, settings.place):
             name = name_of(settings.light)
-            prior, of_sun = None, (f"{name}: no light by the clock, time and place were not used",)
+            told = name if settings.place == "auto" else f"{name}, {settings.place}"
+            prior, of_sun = None, (f"{told}: no light by the clock, time and place were not used",)
         notes = (*(f"{names[0]}: {note}" for note in known.notes), *of_sun, *_unused(taken, known))
         return Pictures(
             settings=settings,

@@ -100,7 +100,7 @@ class EstimateSettings:
         same, and for "auto" and "sphere" the exposure of the first picture.
     ground
         The albedo of the ground where it is known, for skies over a ground ("auto",
-        "autoencoder", "sunsky", your own); by default what is usual.
+        "autoencoder", "sunsky", your own) and "sphere"; by default what is usual.
     place
         "outdoors", "indoors" or "flash" (on the camera) where that is known: rules out kinds of
         place for "sphere", which is taken in place of "auto".
@@ -133,9 +133,7 @@ class EstimateSettings:
 
     def __post_init__(self) -> None:
         solver = "" if self.solver == DEFAULT_SOLVER else f"the solver {self.solver}"
-        light = light_there(
-            self.light, self.place, model=self.model, ground=self.ground, of_skies=solver
-        )
+        light = light_there(self.light, self.place, model=self.model, of_skies=solver)
         object.__setattr__(self, "light", light)
         check_goes_together(light, self.prior, self.model)
         check_solver_name(self.solver, name_of(light))

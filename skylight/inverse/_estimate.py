@@ -94,7 +94,8 @@ def estimate_light(
         efforts of their own, harmonics none.
     sun_prior
         What time, place and heading tell of the sun, by
-        :func:`skylight.inverse._sun_prior.sun_prior`.
+        :func:`skylight.inverse._sun_prior.sun_prior`. Of "sphere" the sun is one of the lamps, as
+        likely as the place is under the open sky; indoors and with a flash it does not count.
     exposure
         The exposure value at ISO 100, which tells "auto" and "sphere" of rooms and daylight
         (:func:`~skylight.imaging._exif.exposure_value`); others do not use it.
@@ -110,8 +111,8 @@ def estimate_light(
     ------
     InputError
         No observation, or one without a usable pixel; ``photos`` that do not count them; an
-        unknown light model, or one that is not what a light model is; lamps, or another light of
-        the whole sphere, with a sun prior; no such device.
+        unknown light model, or one that is not what a light model is; lamps, or a light of the
+        whole sphere of your own, with a sun prior; no such device.
     """
     if isinstance(observations, Observation):
         observations = (observations,)
@@ -199,12 +200,12 @@ def light_problems(
     where, options = choose_device(device), options or SolverOptions()
     has_sun = any(one is not None for one in sun_priors)
     clock = "time and place" if has_sun and not follows_clock(DEFAULT_LIGHT, None) else ""
-    light = light_there(light, place, model=model, ground=options.ground, of_skies=clock)
+    light = light_there(light, place, model=model, of_skies=clock)
     check_goes_together(light, prior, model)
     if has_sun and not follows_clock(light, prior):
         raise InputError(
-            "lamps are not the sun, nor is light of the whole sphere: leave sun_prior out, or "
-            f"choose another light than {name_of(light)}"
+            "lamps are not the sun, nor is light of the whole sphere of your own: leave sun_prior "
+            f"out, or choose another light than {name_of(light)}"
         )
     modes, skin = SkinPrior.load().means.float().to(where), albedo_prior().to(where)
     lamps = LampsOptions(weights=options.weights)
@@ -215,7 +216,10 @@ def light_problems(
     if light == "sphere":
         places = None if model is None else load_model(model)
         assert not isinstance(places, LightBundle)  # check_goes_together
-        return [sphere_problem(skin, modes, lamps, place, each, places) for each in exposures]
+        return [
+            sphere_problem(skin, modes, lamps, place, exposure, one, options.ground, places)
+            for exposure, one in zip(exposures, sun_priors, strict=True)
+        ]
     if light == "lamps":
         towards = towards_of(place)
         return [LampsProblem(skin, modes, lamps, towards=towards) for _ in sun_priors]
@@ -249,18 +253,15 @@ def light_there(
     place: Place,
     *,
     model: Model | None = None,
-    ground: KnownGround | None = None,
     of_skies: str = "",
 ) -> Light:
     """:func:`~skylight._names.light_at`, for which a model of one's own is chosen already.
 
-    This is where it is said what only skies have: a trained ``model`` of them, a known ``ground``,
-    and what else is asked ``of_skies``.
+    This is where it is said what only skies have: a trained ``model`` of them, and what else is
+    asked ``of_skies``.
     """
     if model is not None and not is_of_places(model):
         of_skies = "a trained model of skies"
-    elif ground is not None and not is_sky(DEFAULT_LIGHT):
-        of_skies = "a known ground"
     if isinstance(light, str):
         return light_at(check_light_name(light), place, of_skies)
     if place != "auto":

@@ -15,6 +15,7 @@ are alike, the best single lamp is neither. Where ambient light may be anything,
 
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
@@ -28,12 +29,15 @@ from skylight.inverse._faces import Level, LitFaces, ObjectiveWeights, ScannedFa
 from skylight.inverse._lamp_relighting import lamps_radiance
 from skylight.inverse._least_squares import nnls
 from skylight.inverse._objective import LightObjective
-from skylight.inverse._posterior import face_evidence, sun_evidence
+from skylight.inverse._posterior import credible, face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
 from skylight.inverse._result import MAP_ROWS, SUN_SPREAD_RAD, Estimate, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
+from skylight.inverse._sky import SkySolver, SolverOptions
 from skylight.inverse._solution import Solutions, estimate_of, face_lights, log_evidence
+from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import Prior, without_azimuth
+from skylight.models._ground import KnownGround
 from skylight.models._lamps import LampsLight, LampsPrior
 from skylight.models._lobes import LampedLight
 from skylight.models._prior import GaussianMixture
@@ -294,7 +298,8 @@ class LampsProblem(LightProblem):
     memory that a sky has, 130 MB for a face of 3,700 pixels with specular reflection. Everything is
     computed on the device of ``albedo_modes``, where the prior has to be. There are as many lamps
     as pay, or ``exactly`` so many. ``towards`` are directions that one lamp is looked for in
-    besides those of the scan.
+    besides those of the scan. ``sun_prior`` is what clock and place tell of the main light
+    (:meth:`~skylight.inverse._sun_prior.SunPrior.anywhere`), ``ground`` the albedo below.
     """
 
     uses_background = True
@@ -307,11 +312,30 @@ class LampsProblem(LightProblem):
         family: LampFamily = LAMPS,
         exactly: int | None = None,
         towards: Float[Tensor, "d 3"] | None = None,
+        sun_prior: SunPrior | None = None,
+        ground: KnownGround | None = None,
     ) -> None:
         self.family, self.exactly, self.towards = family, exactly, towards
         self.albedo_prior, self.albedo_modes = albedo_prior, albedo_modes
         self.options = options or LampsOptions()
-        self.faces = LitFaces()
+        self.faces, self.ground = LitFaces(sun_prior), ground
+
+    def another(self) -> "LampsProblem":
+        """An empty problem with the same family, priors and options."""
+        problem = copy(self)
+        problem.faces = LitFaces(self.faces.sun_prior)
+        return problem
+
+    def with_lamps(self, count: int) -> SkySolver:
+        """The model of so many lamps with its priors, for those who know how many there are."""
+        device, prior = self.albedo_modes.device, self.family.prior(count)
+        return SkySolver(
+            model=self.family.light(count).on_rows(SCAN_HEIGHT).to(device),
+            light_prior=prior.to(device) if isinstance(prior, Module) else prior,
+            albedo_prior=self.albedo_prior,
+            albedo_modes=self.albedo_modes,
+            options=SolverOptions(weights=self.options.weights, ground=self.ground),
+        )
 
     @property
     def grid_height(self) -> int:
@@ -333,15 +357,24 @@ class LampsProblem(LightProblem):
         lamp also from the directions of the scan over the sphere. Numbers compete on a coarse level
         by :func:`~skylight.inverse._solution.log_evidence`: one more is to bring
         :data:`LEAST_GAIN`.
+
+        What clock and place tell of the sun counts unless the faces contradict it, as of skies. One
+        lamp is looked for where they say too, they choose between lights that explain the faces,
+        and draw the sun's lamp in the end. Not before: what a face is explained less well by a lamp
+        that is drawn, another lamp would explain, so evidence is that of lights which are not
+        drawn. Its logarithm grows by that of the sun's density over an even one. As that is 1 in
+        the mean over all directions for any number of lamps, and 1 for none, no number is
+        preferred beforehand.
         """
         options, observed = self.options, [face.scanned for face in self.faces]
         every = scan_faces(observed, sphere=True)
-        scan = SunScan.of(every, candidates=options.scan_candidates)
         evidence = sun_evidence(face_evidence(observed, every, sphere=True))
+        clock = credible(evidence, self.faces.sun_prior)
+        scan = SunScan.of(every, candidates=options.scan_candidates, sun_prior=clock)
         pursuit = Pursuit(observed)
 
         def fitted(count: int) -> Fitted[Iterates]:
-            objective = self._objective(count, options.coarse[0])
+            objective = self._objective(count, options.coarse[0], clock)
             model = objective.model
             assert isinstance(model, LampedLight)
             towards = pursuit.starts(model, options.sets)
@@ -352,17 +385,22 @@ class LampsProblem(LightProblem):
             turns = model.azimuth_index is not None  # to where the sets are, as starts are not
             chosen = choose_starts(objective, towards, self.albedo_modes, centroids=not turns)
             points = Iterates.starting(*chosen)
-            objective, points = self._descend(count, points, options.coarse)
-            end = points.free[points.scores.argmin(), None]
-            return Fitted(
-                count=count, point=points, log_evidence=float(log_evidence(objective, end))
-            )
+            for stage in options.coarse:
+                objective, points = self._descend(count, points, [stage])
+                told = _sun_log_density(objective, points, clock)
+                best = (points.scores - told).argmin()
+                drawn = points.scores - options.weights.sun_prior * told
+                # what the evidence is that of goes on too
+                points = replace(points, scores=drawn.index_fill(0, best, drawn.min()))
+            points = replace(points, scores=drawn)
+            nats = log_evidence(objective, points.free[best, None]) + told[best]
+            return Fitted(count=count, point=points, log_evidence=float(nats))
 
         if self.exactly is None:
             best = as_many_as_pay(fitted, self.family.least_gain, self.family.patience)
         else:
             best = fitted(self.exactly)
-        objective, points = self._descend(best.count, best.point, options.fine, progress)
+        objective, points = self._descend(best.count, best.point, options.fine, clock, progress)
         solutions = Solutions.of(objective, [points], evidence=True)
         params = solutions.parts.light[0].cpu()
         lights = face_lights(solutions, 0, self.faces, options.fine[-1].level)
@@ -381,6 +419,7 @@ class LampsProblem(LightProblem):
             sun=lamps[0].direction if lamps else None,
             albedo_prior=objective.tone_prior,
             reflects=self.faces[0].scanned.specular is not None,
+            sun_prior=self.faces.sun_prior,
             lamps=lamps,
             seen=None if self.family.smooth else bool(lamps),
             kinds=kinds,
@@ -391,23 +430,27 @@ class LampsProblem(LightProblem):
         count: int,
         points: Iterates,
         stages: Sequence[Stage],
+        clock: SunPrior | None = None,
         progress: Progress | None = None,
     ) -> tuple[LightObjective, Iterates]:
         """The last stage's objective, and its points."""
         for number, stage in enumerate(stages, start=1):
-            objective = self._objective(count, stage)
+            objective = self._objective(count, stage, clock)
             (points,) = descend(objective, [points], stage, self.options.tolerance)
             if progress is not None:
                 progress(number / len(stages))
         return objective, points
 
-    def _objective(self, count: int, stage: Stage) -> LightObjective:
-        weights, device = self.options.weights, self.albedo_modes.device
-        prior = self.family.prior(count)
-        return LightObjective(
-            self.faces.terms(stage.level),
-            self.family.light(count).on_rows(SCAN_HEIGHT >> stage.level.light).to(device),
-            prior.to(device) if isinstance(prior, Module) else prior,
-            self.albedo_prior,
-            replace(weights, pigment_spread=0.0) if stage.even_skin else weights,
-        )
+    def _objective(self, count: int, stage: Stage, clock: SunPrior | None = None) -> LightObjective:
+        return self.with_lamps(count).objective([self.faces], [clock], stage)
+
+
+@torch.no_grad()
+def _sun_log_density(
+    objective: LightObjective, points: Iterates, clock: SunPrior | None
+) -> Float[Tensor, " s"]:
+    """What clock and place tell of each point's lamps, over the even density; 0 without any."""
+    suns = objective.suns(objective.unpack(points.free).light)
+    if clock is None or suns is None:
+        return torch.zeros_like(points.scores)
+    return clock.of_one(suns) + math.log(clock.area)

@@ -28,7 +28,8 @@ from skylight.inverse._scale import (
 )
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import CurvedPrior, LightModel, Prior, without_azimuth
-from skylight.models._ground import KnownGround, LambertianGround, ground_prior
+from skylight.models._ground import GroundBelow, KnownGround, LambertianGround, ground_prior
+from skylight.models._lobes import LampedLight
 from skylight.models._prior import GaussianMixture, convex_shape
 from skylight.transport._reflection import shade_scenes
 
@@ -92,7 +93,8 @@ class LightObjective:
     Free parameters of one problem: those of the light model, for each photograph a log exposure,
     its two log gains against green, log saturation and log contrast, for each face the log specular
     scale, the logits of skin albedo, its turns and its pigments, then the logits of ground albedo,
-    so that 0 < albedo < 1 always holds. A model of the whole sphere has no ground. Targets are
+    so that 0 < albedo < 1 always holds. A model of the whole sphere has no ground: where that is
+    known, its lower half is likelier as bright as that (:class:`GroundBelow`). Targets are
     scaled beforehand to a mean luminance of 1 in each photograph, which makes the loss's epsilon
     mean the same for every picture, and 1 the pivot of contrast.
     """
@@ -130,6 +132,10 @@ class LightObjective:
         if not model.grid.is_sphere:
             self.ground = LambertianGround(model.grid.layout[0]).to(device)  # type: ignore[index]
         self.known_ground = known_ground
+        self.below: GroundBelow | None = None
+        if known_ground is not None and model.grid.is_sphere:
+            self.below = GroundBelow(known_ground).to(device)
+            self.broad = model.on_rows(self.below.HEIGHT)
         self.ground_prior = ground_prior(known_ground).to(device)
         self.pigment_colours = torch.tensor(PIGMENT_COLOURS).to(self.faces[0].target)
         spreads = weights.pigment_spread * torch.tensor(PIGMENT_SPREADS)
@@ -389,7 +395,8 @@ class LightObjective:
         """
         model, own, without = self.model, self.light_prior, [] if clock else ["sun_prior"]
         light = free[:, :0]
-        if isinstance(own, CurvedPrior) and not (clock and any(self.sun_priors)):
+        told = self.below is not None or (clock and any(self.sun_priors))  # of the light, by others
+        if isinstance(own, CurvedPrior) and not told:
             light = free[:, : model.parameter_count]
             without.append("light_prior")
 
@@ -450,17 +457,25 @@ class LightObjective:
     ) -> Float[Tensor, " b"] | None:
         """How unlikely the sun's direction is by clock and place, in nats, weighted.
 
-        None where they tell no problem of it, or the model has no sun.
+        Of lamps one is the sun, each alike. None where clock and place tell no problem of it, or
+        the model has no sun.
         """
-        sun = self.model.sun_direction(light)
-        if sun is None or not any(self.sun_priors):
+        suns = self.suns(light) if any(self.sun_priors) else None
+        if suns is None:
             return None
         nll = light.new_zeros(len(light))
         for number, prior in enumerate(self.sun_priors):
             if prior is not None:
-                own = -self.weights.sun_prior * prior.log_density(sun)
+                own = -self.weights.sun_prior * prior.of_one(suns)
                 nll = own if problem is None else torch.where(problem == number, own, nll)
         return nll
+
+    def suns(self, light: Float[Tensor, "b p"]) -> Float[Tensor, "b k 3"] | None:
+        """Where the sun stands: in one direction, or in one of those of the lamps."""
+        if isinstance(self.model, LampedLight):
+            return self.model.lamps(light).directions if self.model.count else None
+        sun = self.model.sun_direction(light)
+        return None if sun is None else sun[..., None, :]
 
     def _light_nll(self, free: Float[Tensor, "b p"]) -> dict[str, Float[Tensor, " b"]]:
         if self.light_prior is None:
@@ -469,9 +484,12 @@ class LightObjective:
         return {"light_prior": self.weights.light_prior * nll}
 
     def _ground_nll(self, parts: Unpacked) -> dict[str, Float[Tensor, " b"]]:
-        if self.ground is None:
+        if self.below is not None:
+            nll = -self.below.log_prob(self.broad(parts.light))
+        elif self.ground is not None:
+            nll = -self.ground_prior.log_prob(parts.ground_albedo.log())
+        else:
             return {}
-        nll = -self.ground_prior.log_prob(parts.ground_albedo.log())
         return {"ground_prior": self.weights.ground_prior * nll}
 
     def _white_balance_nll(self, parts: Unpacked) -> Float[Tensor, " b"]:

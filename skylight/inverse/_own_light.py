@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torch.distributions import Distribution
 
 from skylight._modes import Derived
+from skylight._names import Place
 from skylight.errors import InputError
 from skylight.inverse._result import MAP_ROWS
 from skylight.inverse._sky import require_light
@@ -318,10 +319,10 @@ def solved_together(light: Light, prior: LightPrior | None) -> bool:
     return type(light) is not LampsLight and not is_linear(light, prior)
 
 
-def follows_clock(light: Light, prior: LightPrior | None) -> bool:
-    """Whether what time and place tell of the sun is of use to it."""
+def follows_clock(light: Light, prior: LightPrior | None, place: Place = "auto") -> bool:
+    """Whether what time and place tell of the sun is of use to it, in a ``place`` of that kind."""
     if isinstance(light, str):
-        return light not in ("sphere", "lamps")
+        return light != "lamps" and place not in ("indoors", "flash")
     return is_sky(light) or is_linear(light, prior)
 
 

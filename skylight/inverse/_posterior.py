@@ -19,7 +19,8 @@ estimates are outliers. As a density over the hemisphere, ::
 Where clock and place tell of the sun (:mod:`skylight.inverse._sun_prior`), p is multiplied by their
 density q. Whether they can be right is asked of the faces alone, without the optimised sun, which
 q has drawn: a share f of q is uniform, for clocks and compasses that are wrong, and they are wrong
-with a probability of ``f / 2 pi`` over ``int (V * L) q``.
+with a probability of ``f / 2 pi`` over ``int (V * L) q``. Light of the whole sphere has ``4 pi``
+there, and in f what main lights are not the sun: a lamp elsewhere says nothing of the clock.
 
 **No sun.** Where the best sun lowers m by little against ambient light alone, no sun is seen;
 lamps are where the light found has some, since their number is chosen by its evidence.
@@ -247,16 +248,24 @@ def clock_wrong(
     evidence: SunEvidence, sun_prior: SunPrior, model: PosteriorConstants = FITTED
 ) -> float:
     """How likely clock, place or compass are wrong, by the module's text."""
-    fine = DirectionGrid.sky(ROWS)
+    wrong = FLOOR * sun_prior.open_sky / sun_prior.floor  # of what is not where they say
+    return wrong * _elsewhere(evidence, sun_prior, model)
+
+
+def _elsewhere(
+    evidence: SunEvidence, sun_prior: SunPrior, model: PosteriorConstants = FITTED
+) -> float:
+    """How likely the main light is not where clock, place and compass say."""
+    fine = density_grid(evidence)
     mass = sun_density(evidence, None, model) * fine.solid_angles
-    right = (1 - FLOOR) * float(mass @ sun_prior.clock_log_density(fine.directions).exp())
-    wrong = FLOOR / (2 * math.pi)
-    return wrong / (wrong + right)
+    told = sun_prior.clock_log_density(fine.directions).exp()
+    right = (1 - sun_prior.floor) * float(mass @ told)
+    return sun_prior.elsewhere / (sun_prior.elsewhere + right)
 
 
 def credible(evidence: SunEvidence, sun_prior: SunPrior | None) -> SunPrior | None:
     """``sun_prior`` unless the faces contradict it."""
-    if sun_prior is None or clock_wrong(evidence, sun_prior) > DOUBT:
+    if sun_prior is None or _elsewhere(evidence, sun_prior) > DOUBT:
         return None
     return sun_prior
 

@@ -35,6 +35,7 @@ from skylight.inverse._scan import SunScan
 from skylight.inverse._sun_prior import SunPrior
 from skylight.inverse._verdict import Spreads, spread_of
 from skylight.models._base import Prior
+from skylight.models._ground import below_and_above
 from skylight.sphere._envmap import EnvironmentMap, luminance
 
 
@@ -305,7 +306,7 @@ def estimate_of(
         light=light,
         environment=environment,
         params=params,
-        ground_albedo=_ground_albedo(environment) if ground_albedo is None else ground_albedo,
+        ground_albedo=measured_ground(environment) if ground_albedo is None else ground_albedo,
         sun_direction=environment.brightest_direction() if sun is None else sun,
         posterior=posterior,
         spreads=search.spreads
@@ -321,8 +322,7 @@ def estimate_of(
     )
 
 
-def _ground_albedo(environment: EnvironmentMap) -> Float[Tensor, "3"]:
+def measured_ground(environment: EnvironmentMap) -> Float[Tensor, "3"]:
     """Mean radiance of the lower half over that of a white ground below the upper half."""
-    ground = environment.radiance[environment.layout[0] // 2 :].reshape(-1, 3).mean(0)
-    down = environment.upper().irradiance(torch.tensor([0.0, 1.0, 0.0])) / torch.pi
-    return (ground / down.clamp(min=1e-12)).clamp(0, 1)
+    below, white = below_and_above(environment.layout[0]).float() @ environment.flat
+    return (below / white.clamp(min=1e-12)).clamp(0, 1)

@@ -17,6 +17,8 @@ from skylight.inverse._auto import open_sky_log_odds
 from skylight.inverse._descent import Stage
 from skylight.inverse._faces import Level
 from skylight.inverse._lamps import LampFamily, LampsOptions, LampsProblem
+from skylight.inverse._sun_prior import SunPrior
+from skylight.models._ground import KnownGround
 from skylight.models._prior import GaussianMixture
 from skylight.models._sphere import Places, SphereLight, SpherePrior, shipped
 
@@ -43,12 +45,16 @@ def sphere_problem(
     options: LampsOptions,
     place: Place = "auto",
     exposure: float | None = None,
+    sun_prior: SunPrior | None = None,
+    ground: KnownGround | None = None,
     places: Places | None = None,
 ) -> LampsProblem:
-    """An empty problem of this light, in a ``place`` where that is known.
+    """An empty problem of this light, in a ``place`` and over a ``ground`` where they are known.
 
-    The ``exposure`` value tells open sky by day from rooms and nights. ``places`` are what was
-    learnt of them, by default what comes with skylight.
+    The ``exposure`` value tells open sky by day from rooms and nights. ``sun_prior`` is what clock
+    and place tell: the main light is the sun as likely as the place is under the open sky, and
+    that of a flash is the camera's. ``places`` are what was learnt of them, by default what comes
+    with skylight.
     """
     places = places or shipped()
     known = {"outdoors": open_sky_log_odds(exposure)}
@@ -63,7 +69,24 @@ def sphere_problem(
     )
     weights = replace(options.weights, noise_of_face=True)
     efforts = replace(options, coarse=COARSE, fine=FINE, weights=weights)
-    return LampsProblem(albedo_prior, albedo_modes, efforts, family, towards=towards_of(place))
+    if sun_prior is not None:
+        open_sky = _under_open_sky(SpherePrior(0, places, log_odds))
+        sun_prior = sun_prior.anywhere(0.0 if place == "flash" else open_sky)
+    return LampsProblem(
+        albedo_prior,
+        albedo_modes,
+        efforts,
+        family,
+        towards=towards_of(place),
+        sun_prior=sun_prior,
+        ground=ground,
+    )
+
+
+def _under_open_sky(prior: SpherePrior) -> float:
+    """How likely that is beforehand; at night clocks tell nothing."""
+    mine = torch.tensor([kind in OPEN_SKY for kind in prior.kinds])[prior.kind]
+    return float(prior.log_weights[mine].exp().sum())
 
 
 def towards_of(place: Place) -> Float[Tensor, "1 3"] | None:

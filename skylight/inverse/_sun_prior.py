@@ -11,17 +11,19 @@ heading). Together::
     r^2 = b^2 + c^2 + 2 b c cos(a_d - a_s),    b = k sin z sin z_s
 
 with zenith angles z and azimuths a: the exponents of M and F add up to that of one cosine. With
-c = 0 it is a ring at the height of s. The density is cut at the horizon and normalised above it,
-by quadrature over the height.
+c = 0 it is a ring at the height of s. Of skies the density is cut at the horizon and normalised
+above it, by quadrature over the height; of light of the whole sphere it is not: cameras are tilted,
+and a low sun may be below their horizon.
 
 Clocks are wrong, cameras' zones are not set and compasses lie beside metal: a share of
 :data:`FLOOR` is uniform over the upper hemisphere. What a time without a zone may mean is a
-mixture of such densities.
+mixture of such densities. Where the main light may be a lamp or a window, a share more is uniform,
+over the sphere (:meth:`SunPrior.anywhere`).
 """
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -52,9 +54,10 @@ class SunPart:
 
     def log_density(self, directions: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
         """ln p of the module's text at directions above the horizon, per sr."""
-        return self._uncut(directions) - math.log(self._above())
+        return self.uncut_log_density(directions) - math.log(self._above())
 
-    def _uncut(self, directions: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+    def uncut_log_density(self, directions: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+        """The same on the whole sphere."""
         k, c = 1 / TILT_RAD**2, self.turn
         x, y, z = directions.unbind(-1)
         across, up = math.sin(self.zenith_rad), math.cos(self.zenith_rad)
@@ -72,7 +75,7 @@ class SunPart:
         slanted = (1 - height * height).sqrt()
         ring = SunPart(share=1.0, zenith_rad=self.zenith_rad)
         along = torch.stack([torch.zeros_like(height), height, -slanted], 1)
-        density = ring._uncut(along).exp()
+        density = ring.uncut_log_density(along).exp()
         return float(2 * math.pi * density @ torch.from_numpy(weights / 2))
 
 
@@ -80,24 +83,56 @@ class SunPart:
 class SunPrior:
     """A density over the directions of the upper hemisphere: ``parts``, whose shares sum to 1.
 
-    :data:`FLOOR` of it is uniform.
+    :data:`FLOOR` of it is uniform. With ``sphere`` it is one over all directions, of the main light
+    of a place that has a probability to be under the ``open_sky``: elsewhere that light may come
+    from anywhere.
     """
 
     parts: tuple[SunPart, ...]
+    sphere: bool = False
+    open_sky: float = 1.0
+
+    def anywhere(self, open_sky: float) -> "SunPrior | None":
+        """Of the main light of any place; None where that is not under the ``open_sky`` at all."""
+        return replace(self, sphere=True, open_sky=open_sky) if open_sky > 0 else None
 
     def log_density(self, directions: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
         """ln of the whole density, per sr; smooth in the directions."""
-        clock = self.clock_log_density(directions) + math.log(1 - FLOOR)
-        return torch.logaddexp(clock, torch.full_like(clock, math.log(FLOOR / (2 * math.pi))))
+        clock = self.clock_log_density(directions) + math.log(1 - self.floor)
+        return torch.logaddexp(clock, torch.full_like(clock, math.log(self.elsewhere)))
+
+    def of_one(self, directions: Float[Tensor, "*b k 3"]) -> Float[Tensor, "*b"]:
+        """ln of the density where one of k lights, each alike, is the main one, and the others may
+        be anywhere: by how much that is more than an even one does not grow with k."""
+        return self.log_density(directions).logsumexp(-1) - math.log(directions.shape[-2])
 
     def clock_log_density(self, directions: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
-        """The same were clock and compass right."""
-        parts = [part.log_density(directions) + math.log(part.share) for part in self.parts]
+        """The density were clock and compass right, and the main light the sun."""
+        parts = [
+            (part.uncut_log_density if self.sphere else part.log_density)(directions)
+            + math.log(part.share)
+            for part in self.parts
+        ]
         return torch.stack(parts).logsumexp(0)
+
+    @property
+    def floor(self) -> float:
+        """The share that is uniform."""
+        return 1 - (1 - FLOOR) * self.open_sky
+
+    @property
+    def area(self) -> float:
+        """Of all directions, sr."""
+        return (4 if self.sphere else 2) * math.pi
+
+    @property
+    def elsewhere(self) -> float:
+        """The density of what is not where the clock says, per sr."""
+        return self.floor / self.area
 
     def likely(self, directions: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
         """Where the clock says more than that it may be wrong."""
-        return self.log_density(directions) > math.log(2 * FLOOR / (2 * math.pi))
+        return self.log_density(directions) > math.log(2 * self.elsewhere)
 
 
 def sun_prior(taken: CaptureMetadata) -> tuple[SunPrior | None, tuple[str, ...]]:

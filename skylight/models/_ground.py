@@ -1,7 +1,8 @@
 """Light reflected by the ground: one Lambertian bounce of the sky, and a prior of its albedo.
 
 The prior is that of grounds in general, or narrow about one that was measured
-(:class:`KnownGround`).
+(:class:`KnownGround`). Light of the whole sphere has no ground, but a lower half that is likelier
+where it is as bright as that ground would be (:class:`GroundBelow`).
 """
 
 import math
@@ -18,7 +19,7 @@ from skylight.errors import InputError, check_shape
 from skylight.io._bounded import read_number, read_object, require_keys, write_json
 from skylight.models._base import Light, is_sky, name_of
 from skylight.models._prior import GaussianMixture
-from skylight.sphere._frame import row_edges_cos
+from skylight.sphere._frame import DirectionGrid, row_edges_cos
 
 USUAL_SPREAD = 0.1
 _KIND = "ground albedo"
@@ -132,12 +133,58 @@ class KnownGround:
         return KnownGround(albedo=(red, green, blue), spread=(spread or [USUAL_SPREAD])[0])
 
 
+class GroundBelow(Module):
+    """How likely light of the whole sphere is where the ground's albedo is ``known``.
+
+    Below the horizon are ground, its shadows and what stands on it. With m the mean radiance there,
+    E the irradiance of a horizontal surface from above and rho the albedo, ::
+
+        r_c = log m_c - log(rho_c E_c / pi)
+
+    of the three channels has Student's t density of 3 degrees of freedom and the scale matrix
+    ``LEVEL^2 1 1^T + (COLOUR^2 + spread^2) I``. Of 90 simulated places outdoors on grounds of known
+    albedo the likeliest have 0.14 and 0.026, and a median of r of 0.01: two thirds of the levels
+    are within 0.16, but those under roofs and beside walls are off by up to a factor of twenty.
+    """
+
+    LEVEL, COLOUR, FREEDOM = 0.15, 0.03, 3.0
+    HEIGHT = 8  # rows of the light: what is asked of it is as broad as half the sphere
+    log_albedo: Tensor
+    functionals: Tensor
+
+    @on_cpu
+    def __init__(self, known: KnownGround) -> None:
+        super().__init__()
+        self.own = self.COLOUR**2 + known.spread**2
+        self.register_buffer("log_albedo", torch.tensor(known.albedo).log(), persistent=False)
+        self.register_buffer("functionals", below_and_above(self.HEIGHT).float(), persistent=False)
+
+    def log_prob(self, radiance: Float[Tensor, "*batch n 3"]) -> Float[Tensor, "*batch"]:
+        """ln of the density, but for a constant, of light on :attr:`HEIGHT` rows of the sphere."""
+        check_shape("GroundBelow's light", radiance.shape, self.functionals.shape[1], 3)
+        both = (self.functionals.to(radiance.dtype) @ radiance).clamp(min=1e-12).log()
+        off = both[..., 0, :] - both[..., 1, :] - self.log_albedo.to(radiance.dtype)
+        common = self.LEVEL**2 * off.sum(-1).square() / (self.own + 3 * self.LEVEL**2)
+        squares = (off.square().sum(-1) - common) / self.own  # r^T S^-1 r
+        return -0.5 * (self.FREEDOM + 3) * torch.log1p(squares / self.FREEDOM)
+
+
+def below_and_above(height: int) -> Float[Tensor, "2 n"]:
+    """Functionals of light on so many rows of the sphere: the mean radiance of the lower half, and
+    that of a white ground in the light of the upper half. Of a light of 1 both are 1."""
+    share = DirectionGrid.latlong(height).solid_angles / (2 * math.pi)
+    rows = torch.zeros(2, len(share), dtype=torch.float64)
+    rows[0, len(share) // 2 :] = share[len(share) // 2 :]
+    rows[1, : len(share) // 2] = LambertianGround(height // 2).transfer / math.pi
+    return rows
+
+
 def check_has_ground(light: Light, ground: KnownGround | None) -> None:
-    """:class:`InputError` for a ground and a light without one."""
-    if ground is not None and not is_sky(light):
+    """:class:`InputError` for a ground and a light that has no use for it."""
+    if ground is not None and not is_sky(light) and light != "sphere":
         raise InputError(
             f"--ground-albedo is for skies over a ground, and {name_of(light)} has none: leave it "
-            "out, or choose --light autoencoder or sunsky"
+            "out, or choose --light sphere, autoencoder or sunsky"
         )
 
 

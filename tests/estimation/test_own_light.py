@@ -125,5 +125,5 @@ def test_settings_refuse_what_does_not_go_together() -> None:
         EstimateSettings(light=nn.Identity())  # pyright: ignore[reportArgumentType]
     sky = Sky()
     assert FilmSettings(estimate=EstimateSettings(light=sky)).estimate.light is sky
-    with pytest.raises(InputError, match="--video is for the sky"):
+    with pytest.raises(InputError, match="--video takes --light sphere"):
         FilmSettings(estimate=EstimateSettings(light=Lantern()))

@@ -13,7 +13,6 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from skylight._modes import without_autocast
-from skylight._names import DEFAULT_FILM_LIGHT, DEFAULT_LIGHT
 from skylight.errors import InputError
 from skylight.estimation._manifest import file_hash
 from skylight.estimation._settings import EstimateSettings
@@ -36,6 +35,7 @@ from skylight.faces._observe import observe_face
 from skylight.imaging._camera_turns import Link, focal_from_turns, world_from_cameras
 from skylight.imaging._film import FilmFrame, film_frames, told_length_s
 from skylight.imaging._photo import PHOTO_SUFFIXES, Photo, read_photo
+from skylight.inverse._lamps import LampsProblem
 from skylight.inverse._sky import SkyProblem
 from skylight.io._files import visible_files
 from skylight.models._base import is_sky, name_of
@@ -47,7 +47,8 @@ FOLLOWING = "following"  # the folder in that of the results
 
 
 FOLLOWED_A_SECOND = 10.0
-_OPTIONS = ("light", "prior", "model", "face", "decode", "ground")  # others are for photographs
+# others are for photographs
+_OPTIONS = ("light", "prior", "model", "face", "decode", "ground", "place")
 MOST_SIDE = 1920
 # Of a photograph's face: 0.4 of its height, a sixth of its pixels, of which films have many times
 # as many.
@@ -61,8 +62,7 @@ class FilmSettings:
     """What the light of a film depends on besides its pictures.
 
     Of ``estimate`` the :data:`_OPTIONS` count, and the device; ``keyframes`` are the most that
-    light is estimated at, and ``rate`` is how many frames of a folder are shown in a second. In
-    place of the default light of photographs stands that of films.
+    light is estimated at, and ``rate`` is how many frames of a folder are shown in a second.
     """
 
     estimate: EstimateSettings = field(default_factory=EstimateSettings)
@@ -82,13 +82,10 @@ class FilmSettings:
                 raise InputError(
                     f"{option}: not for films, in which one face is followed by MediaPipe"
                 )
-        if self.estimate.light == DEFAULT_LIGHT:
-            of_films = replace(self.estimate, light=DEFAULT_FILM_LIGHT)
-            object.__setattr__(self, "estimate", of_films)
         light = self.estimate.light
-        if light == "auto" or not is_sky(light):
+        if light == "auto" or not (light == "sphere" or is_sky(light)):
             raise InputError(
-                f"--video is for the sky: --light autoencoder or sunsky, not {name_of(light)}"
+                f"--video takes --light sphere, autoencoder or sunsky, not {name_of(light)}"
             )
         if self.keyframes < 1:
             raise InputError(f"--keyframes must be 1 or more, got {self.keyframes}")
@@ -140,7 +137,7 @@ def estimate_film(
     shot, size = followed.shot, followed.size
     advice = list(followed.notes)
     (problem,) = settings.estimate.problems()
-    assert isinstance(problem, SkyProblem)
+    assert isinstance(problem, SkyProblem | LampsProblem)
     known_px = _photo(shot.keyframes[0], settings).focal_px
     guess_px = known_px or FOCAL_GUESS * max(size)
     if known_px is None:

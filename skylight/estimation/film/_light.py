@@ -1,4 +1,4 @@
-"""One sky over a film: a light that drifts slowly, skin that stays, exposures of each frame.
+"""One light over a film: a light that drifts slowly, skin that stays, exposures of each frame.
 
 Every keyframe k is a face in the objective of :mod:`skylight.inverse._objective`,
 its transport in the world's frame (:func:`in_world`). What all share are the sky's free parameters
@@ -28,11 +28,14 @@ from skylight.imaging._edits import Edit
 from skylight.inverse._descent import Stage, best_exposure, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces, ScannedFace
 from skylight.inverse._gauss_newton import charbonnier
+from skylight.inverse._lamps import LampsProblem, in_pictures_units
 from skylight.inverse._least_squares import curvatures
 from skylight.inverse._objective import LightObjective
 from skylight.inverse._problem import solve
-from skylight.inverse._result import Estimate, residual
-from skylight.inverse._sky import SkyProblem, environment_of
+from skylight.inverse._result import Estimate, Lamp, residual
+from skylight.inverse._sky import SkyProblem, SkySolver, environment_of
+from skylight.inverse._solution import measured_ground
+from skylight.models._lobes import LampedLight
 from skylight.models._prior import convex_shape
 from skylight.sphere._envmap import EnvironmentMap, bilinear_taps
 from skylight.sphere._frame import DirectionGrid, pixel_from_direction
@@ -58,9 +61,9 @@ _SKIN = 4  # of a face's unknowns: specular scale and albedo; the rest are its n
 class FrameLight:
     """The light at a keyframe, in the world's frame and the frame's own radiance units.
 
-    ``params`` and ``ground_albedo`` give ``environment``; ``azimuth_spread_rad`` is the
-    standard deviation of the light's azimuth. ``residual`` is as
-    :attr:`~skylight.inverse._result.FaceLight.residual`.
+    ``params`` and ``ground_albedo`` give ``environment``, whose ``lamps`` are those of light that
+    has some; ``azimuth_spread_rad`` is the standard deviation of the light's azimuth. ``residual``
+    is as :attr:`~skylight.inverse._result.FaceLight.residual`.
     """
 
     time_s: float
@@ -72,6 +75,7 @@ class FrameLight:
     white_balance: Float[Tensor, "3"]
     edit: Edit
     residual: float
+    lamps: tuple[Lamp, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,26 +101,27 @@ class FilmLight:
 class FilmProblem:
     """Give it each keyframe's observation in the world's frame, in order of time; then solve.
 
-    ``problem`` is an empty one whose model and priors count.
+    ``problem`` is an empty one whose model and priors count. Of light with lamps the start says how
+    many there are; what stands behind the person is not looked at.
     """
 
-    def __init__(self, problem: SkyProblem) -> None:
+    def __init__(self, problem: SkyProblem | LampsProblem) -> None:
         self._empty = problem
-        self._frames: list[SkyProblem] = []
+        self._frames: list[LitFaces] = []
         self.times_s: list[float] = []
 
     def add(self, observation: Observation, time_s: float) -> None:
         """One more keyframe, later than the one before."""
         one = self._empty.another()
-        one.add(observation)
-        self._frames.append(one)
+        one.add(replace(observation, background=None))
+        self._frames.append(one.faces)
         self.times_s.append(time_s)
 
     def solve(self, progress: Progress | None = None) -> FilmLight:
         """The light of all keyframes, of which there is at least one; see the module's text."""
         tell = progress or (lambda _share: None)
         start = self._start(lambda share: tell(SHARE_OF_START * share))
-        film = _Film(self._frames, self.times_s, start)
+        film = _Film(self._solver(start), self._frames, self.times_s, start)
         for number in range(_ROUNDS):
             film.improve()
             tell(SHARE_OF_START + (1 - SHARE_OF_START) * (number + 1) / _ROUNDS)
@@ -130,17 +135,25 @@ class FilmProblem:
         together.faces.extend(_photographs([self._frames[k] for k in chosen]))
         return solve([together], progress)[0]
 
+    def _solver(self, start: Estimate) -> SkySolver:
+        """The model and priors of the light found, as many lamps as it has."""
+        if isinstance(self._empty, LampsProblem):
+            return self._empty.with_lamps(len(start.lamps))
+        return self._empty.solver
+
 
 class _Film:
     """The trajectory found so far: free parameters (K, q) of one objective for each keyframe."""
 
     def __init__(
-        self, problems: Sequence[SkyProblem], times_s: Sequence[float], start: Estimate
+        self,
+        solver: SkySolver,
+        frames: Sequence[LitFaces],
+        times_s: Sequence[float],
+        start: Estimate,
     ) -> None:
-        solver = problems[0].solver
-        self.model, self.times_s = solver.model, np.array(times_s)
-        self.faces = [problem.faces for problem in problems]
-        self.objectives = [solver.objective([faces], [None], _FULL) for faces in self.faces]
+        self.model, self.times_s, self.faces = solver.model, np.array(times_s), frames
+        self.objectives = [solver.objective([faces], [None], _FULL) for faces in frames]
         light, camera, _, ground = self.objectives[0].sizes
         index = np.arange(self.objectives[0].size)
         own = np.concatenate([index[light : light + camera], index[light + camera + _SKIN :]])
@@ -148,7 +161,9 @@ class _Film:
         self.shared = np.setdiff1d(index, self.own)
         self.lights = light
         self.free = torch.cat([_starting(objective, start) for objective in self.objectives])
-        self.groups = [_together(problems[i : i + _GROUP]) for i in range(0, len(problems), _GROUP)]
+        self.groups = [
+            _together(solver, frames[i : i + _GROUP]) for i in range(0, len(frames), _GROUP)
+        ]
         self.drift, self.noise = 0.0, 1.0
         self.spreads: Float[np.ndarray, " k"] | None = None
 
@@ -194,7 +209,9 @@ class _Film:
             frames=tuple(frames),
             mean=mean,
             start=start,
-            ground_albedo=parts.ground_albedo[0],
+            ground_albedo=measured_ground(mean.environment)
+            if self.model.grid.is_sphere
+            else parts.ground_albedo[0],
             albedo=parts.albedo[0, 0],
             specular_scale=float(parts.specular_scale[0, 0]),
             drift_per_s=self.drift,
@@ -208,7 +225,14 @@ class _Film:
         objective, face = self.objectives[k], self.faces[k][0]
         parts = objective.unpack(free[None])
         exposure = float(parts.exposure[0, 0]) * face.mean
-        environment = environment_of(self.model, parts.light[0], parts.ground_albedo[0], exposure)
+        lamps: tuple[Lamp, ...] = ()
+        if isinstance(self.model, LampedLight):
+            environment, lamps = in_pictures_units(self.model, parts.light[0], exposure)
+        else:
+            environment = environment_of(
+                self.model, parts.light[0], parts.ground_albedo[0], exposure
+            )
+        brightest = environment.brightest_direction(below=self.model.grid.is_sphere)
         term = objective.faces[0]
         shading = term.seen(objective.shading(parts)[0][0])
         clipped = None if term.clipped is None else term.clipped[0]
@@ -217,12 +241,13 @@ class _Film:
             time_s=time_s,
             params=parts.light[0],
             environment=environment,
-            sun_direction=environment.brightest_direction(),
+            sun_direction=lamps[0].direction if lamps else brightest,
             azimuth_spread_rad=spread,
             exposure=exposure,
             white_balance=objective.white_balance(parts)[0, 0],
             edit=Edit(saturation=saturation, contrast=contrast, pivot=face.mean),
             residual=residual(shading, term.target[0], clipped),
+            lamps=lamps,
         )
 
     def _changes(self) -> Iterator[Float[Tensor, "m q"]]:
@@ -312,16 +337,16 @@ class _Film:
         return total + 0.5 * float((moved[drifts] ** 2 / spread[drifts]).sum())
 
 
-def _together(problems: Sequence[SkyProblem]) -> LightObjective:
+def _together(solver: SkySolver, frames: Sequence[LitFaces]) -> LightObjective:
     """Several keyframes under one light."""
     faces = LitFaces()
-    faces.extend(_photographs(problems))
-    return problems[0].solver.objective([faces], [None], _FULL)
+    faces.extend(_photographs(frames))
+    return solver.objective([faces], [None], _FULL)
 
 
-def _photographs(problems: Sequence[SkyProblem]) -> list[ScannedFace]:
+def _photographs(frames: Sequence[LitFaces]) -> list[ScannedFace]:
     """The face of each keyframe, as one photograph each."""
-    return [replace(one.faces[0], photo=photo) for photo, one in enumerate(problems)]
+    return [replace(faces[0], photo=photo) for photo, faces in enumerate(frames)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -351,7 +376,7 @@ def _starting(objective: LightObjective, start: Estimate) -> Float[Tensor, "1 q"
             exposure,
             first.specular_scale * ones if first.specular_scale > 0 else ones,
             first.albedo[None, None],
-            start.ground_albedo[None],
+            start.ground_albedo[None, : objective.sizes[-1]],
         )
 
     with torch.no_grad():

@@ -75,7 +75,9 @@ def describe_film(result: FilmEstimate, *, source: str) -> dict[str, object]:
         "sun": named_angles(light.mean.sun_direction),
         "verdict": describe_verdict(light.start.verdict),
         "posterior": describe_posterior(light.start.posterior),
-        "lights": describe_lights(replace(light.start, environment=light.mean.environment)),
+        "lights": describe_lights(
+            replace(light.start, environment=light.mean.environment, lamps=light.mean.lamps)
+        ),
         "params": light.mean.params.tolist(),
         "ground_albedo": light.ground_albedo.tolist(),
         "albedo": light.albedo.tolist(),

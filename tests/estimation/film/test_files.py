@@ -134,7 +134,7 @@ class TestWhatIsWrong:
     @pytest.mark.parametrize(
         ("options", "word"),
         [
-            (["--light", "lamps"], "for the sky"),
+            (["--light", "lamps"], "not lamps"),
             (["--keyframes", "0"], "--keyframes must be 1 or more"),
             (["--rate", "0"], "--rate"),
             (["--faces", "all"], "--faces all"),

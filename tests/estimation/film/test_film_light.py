@@ -2,6 +2,7 @@
 
 import copy
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from scipy.spatial.transform import Rotation
 from skylight.estimation.film._light import FilmLight, FilmProblem, in_world
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._descent import Stage
+from skylight.inverse._estimate import light_problems
 from skylight.inverse._faces import Level
+from skylight.inverse._lamps import LampsProblem
 from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.models._bundle import load_bundle
 from skylight.models._ground import LambertianGround
@@ -123,3 +126,29 @@ def test_one_keyframe_is_enough() -> None:
     light = film([2.3])
     assert len(light.frames) == 1
     assert azimuths_of(light)[0] == pytest.approx(2.3, abs=math.radians(4))
+
+
+@pytest.mark.slow
+def test_light_of_any_place_keeps_its_lamps_over_a_film() -> None:
+    """A sun in an even sky, by the model of any place: as many lamps in every keyframe."""
+    (empty,) = light_problems("sphere", device="cpu")
+    assert isinstance(empty, LampsProblem)
+    quick = replace(
+        empty.options,
+        scan_candidates=3,
+        sets=3,
+        coarse=(replace(empty.options.coarse[1], starts=3),),
+        fine=empty.options.fine[1:],
+    )
+    empty.options = quick
+    one = FilmProblem(empty)
+    for k in range(3):
+        turn = Rotation.from_euler("y", 20 * k, degrees=True).as_matrix()
+        one.add(in_world(half_ball(turn, 2.3, 0.3), turn), 0.5 * k)
+    light = one.solve()
+    count = len(light.start.lamps)
+    assert {len(frame.lamps) for frame in (*light.frames, light.mean)} == {count}
+    assert np.abs(azimuths_of(light) - 2.3).max() < math.radians(6)
+    assert max(frame.residual for frame in light.frames) < 0.05
+    assert light.ground_albedo.shape == (3,)
+    assert light.mean.environment.layout == (256, 512)
