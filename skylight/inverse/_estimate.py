@@ -32,9 +32,8 @@ from skylight.inverse._result import Estimate
 from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.inverse._sphere import sphere_problem, towards_of
 from skylight.inverse._sun_prior import SunPrior
-from skylight.models._base import Light, LightPrior, is_sky, name_of
+from skylight.models._base import Light, LightPrior, name_of
 from skylight.models._bundle import LightBundle, Model, is_of_places, load_bundle, load_model
-from skylight.models._ground import KnownGround
 from skylight.models._harmonic import HarmonicLight
 from skylight.models._lamps import LampsLight
 from skylight.models._prior import GaussianMixture
