@@ -14,10 +14,9 @@ from skylight._names import (
 from skylight._options import kind_of_place
 from skylight.errors import InputError
 from skylight.estimation._settings import EstimateSettings
-from skylight.estimation.film._estimate import FilmSettings
 from skylight.inverse._estimate import light_problems, light_there
 from skylight.inverse._lamps import LampsProblem
-from skylight.inverse._sky import SkyProblem, SolverOptions
+from skylight.inverse._sky import SkyProblem
 from skylight.models._bundle import SHIPPED
 from skylight.models._ground import KnownGround
 from skylight.models._lamps import LampsLight
@@ -61,14 +60,12 @@ def test_where_there_is_no_sky_nothing_gives_way(caplog):
 
 def test_what_is_asked_of_skies_makes_the_light_one():
     """Each of what only skies have, at both doors; the settings tell the light that is taken."""
-    for asked in ({"model": SHIPPED}, {"solver": "thesis"}, {"ground": GROUND}):
+    for asked in ({"model": SHIPPED}, {"solver": "thesis"}):
         settings = EstimateSettings(device="cpu", **asked)
         assert settings.light == settings.facts()["light"] == DEFAULT_SKY
         assert EstimateSettings(place="outdoors", device="cpu", **asked).light == DEFAULT_SKY
-    assert FilmSettings().estimate.light == DEFAULT_SKY
-    assert FilmSettings(estimate=EstimateSettings(light="sunsky")).estimate.light == "sunsky"
     assert light_there(DEFAULT_LIGHT, "auto", model=SHIPPED) == DEFAULT_SKY
-    (problem,) = light_problems(DEFAULT_LIGHT, options=SolverOptions(ground=GROUND), device="cpu")
+    (problem,) = light_problems(DEFAULT_LIGHT, model=SHIPPED, device="cpu")
     assert isinstance(problem, SkyProblem)
     with pytest.raises(InputError, match="lamps has no trained model: leave --model out"):
         EstimateSettings(light="lamps", model=SHIPPED, device="cpu")
@@ -92,8 +89,8 @@ def test_settings_of_a_place():
     assert there.light == DEFAULT_LIGHT
     assert there.facts()["place"] == "indoors"
     assert "place" not in EstimateSettings(device="cpu").facts()
-    with pytest.raises(InputError, match="sphere has none"):
-        EstimateSettings(place="flash", ground=GROUND, device="cpu")
+    with pytest.raises(InputError, match="lamps has none"):
+        EstimateSettings(light="lamps", place="flash", ground=GROUND, device="cpu")
     with pytest.raises(InputError, match="unknown detail 'all': choose none, photo, mirrored"):
         check_detail_name("all")
 

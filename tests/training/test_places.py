@@ -11,12 +11,12 @@ import torch
 from skylight.errors import InputError
 from skylight.io._files import write_environment_map
 from skylight.models._lamps import LampsLight
+from skylight.models._manifest import PLACES
 from skylight.models._sphere import Places, SphereLight, SpherePrior
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import DirectionGrid
 from skylight.training._config import PlacesConfig
 from skylight.training._places import (
-    MODEL,
     ROWS,
     SCORES,
     Decoder,
@@ -93,8 +93,8 @@ def test_a_model_is_trained_and_explains_its_places(folder: Path, tmp_path) -> N
     out = tmp_path / "model"
     config = PlacesConfig(data=folder, out=out, latents=LATENTS + 2, places_a_component=100)
     assert train_places(config) == out
-    assert sorted(each.name for each in out.iterdir()) == sorted([MODEL, SCORES])
-    places = Places.load(out / MODEL)
+    assert sorted(each.name for each in out.iterdir()) == sorted([PLACES, SCORES])
+    places = Places.load(out / PLACES)
     assert places.kinds == ("field", "room")
     # every place has one lamp, of 4 / (4 pi) of the mean of 1, straight ahead
     assert float(places.log_counts[:, 1].exp().min()) > 0.95
