@@ -152,5 +152,6 @@ def check_is_trained(light: LightName, *, of_places: bool) -> None:
         raise InputError(f"{light} has no trained model: leave --model out")
     kind, lights = ("places", ("sphere",)) if of_places else ("skies", SKY_LIGHTS)
     raise InputError(
-        f"--model holds {kind}, for --light {' or '.join(lights)}, not {light}: leave one out"
+        f"--model holds {kind}, for --light {' or '.join(lights)}, not {light}: leave it out, or "
+        "choose one of these"
     )

@@ -28,7 +28,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from skylight._names import DEFAULT_FILM_LIGHT
 from skylight.errors import InputError
 from skylight.estimation._photos import estimate_photo
 from skylight.estimation._settings import EstimateSettings
@@ -174,9 +173,7 @@ def singles(folder: Path, truth: FilmTruth, every: int) -> Directions:
     for k in range(0, len(truth.exposures), every):
         turn = truth.world_from_camera[k]
         try:
-            found = estimate_photo(
-                folder / f"{k:03d}.png", light=DEFAULT_FILM_LIGHT, device="cpu"
-            ).estimate
+            found = estimate_photo(folder / f"{k:03d}.png", device="cpu").estimate
         except InputError as error:
             print(f"left out: {error}", flush=True)
             continue

@@ -132,8 +132,7 @@ class EstimateSettings:
     device: str = "auto"
 
     def __post_init__(self) -> None:
-        solver = "" if self.solver == DEFAULT_SOLVER else f"the solver {self.solver}"
-        light = light_there(self.light, self.place, model=self.model, of_skies=solver)
+        light = light_there(self.light, self.place, model=self.model, solver=self.solver)
         object.__setattr__(self, "light", light)
         check_goes_together(light, self.prior, self.model)
         check_solver_name(self.solver, name_of(light))
@@ -142,10 +141,6 @@ class EstimateSettings:
         where = choose_device(self.device)
         if not isinstance(light, str):
             own_light(light, self.prior, where)
-
-    def for_skies(self, what: str) -> "EstimateSettings":
-        """For ``what`` only skies have: in the default's place learnt skies, where they can be."""
-        return replace(self, light=light_there(self.light, self.place, of_skies=what))
 
     @property
     def landmarker(self) -> FaceLandmarker:

@@ -328,10 +328,7 @@ def summary(result: PhotoEstimate) -> str:
                 if estimate.choice
                 else []
             ),
-            *(
-                f"place       {kind} ({100 * share:.0f} %)"
-                for kind, share in list(estimate.kinds.items())[:1]
-            ),
+            *(f"place       {kind} (the likeliest kind)" for kind in list(estimate.kinds)[:1]),
             f"{main_light(estimate):<12}{at(estimate.sun_direction)}",
             f"{name:<12}{sure_of_the_sun(estimate.posterior)}",
             *(f"lamp        another at {at(lamp.direction)}" for lamp in estimate.lamps[1:]),

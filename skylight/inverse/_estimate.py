@@ -8,8 +8,10 @@ from dataclasses import replace
 from skylight._modes import without_autocast
 from skylight._names import (
     DEFAULT_LIGHT,
+    DEFAULT_SOLVER,
     SKY_LIGHTS,
     Place,
+    SolverName,
     check_is_trained,
     check_light_name,
     light_at,
@@ -70,7 +72,7 @@ def estimate_light(
         makes them.
     light
         "sphere" (any place, with up to three lamps, on the whole sphere), which gives way to
-        "autoencoder" where ``model``, ``sun_prior`` or the ground of ``options`` is for skies;
+        "autoencoder" where ``model`` is of skies;
         "autoencoder" (learnt skies), "sunsky" (Preetham's sky and a sun), "lamps" (up to three in
         ambient light, on the whole sphere), "auto" (the likelier of "autoencoder" and "lamps"),
         "sh9" or "sh25" (spherical harmonics up to degree 2 or 4); or a
@@ -198,8 +200,7 @@ def light_problems(
     exposures = exposures or [None] * count
     where, options = choose_device(device), options or SolverOptions()
     has_sun = any(one is not None for one in sun_priors)
-    clock = "time and place" if has_sun and not follows_clock(DEFAULT_LIGHT, None) else ""
-    light = light_there(light, place, model=model, of_skies=clock)
+    light = light_there(light, place, model=model)
     check_goes_together(light, prior, model)
     if has_sun and not follows_clock(light, prior):
         raise InputError(
@@ -252,13 +253,14 @@ def light_there(
     place: Place,
     *,
     model: Model | None = None,
-    of_skies: str = "",
+    solver: SolverName = DEFAULT_SOLVER,
 ) -> Light:
     """:func:`~skylight._names.light_at`, for which a model of one's own is chosen already.
 
-    This is where it is said what only skies have: a trained ``model`` of them, and what else is
-    asked ``of_skies``.
+    This is where it is said what only skies have: a trained ``model`` of them, and the thesis'
+    ``solver``.
     """
+    of_skies = "" if solver == DEFAULT_SOLVER else f"the solver {solver}"
     if model is not None and not is_of_places(model):
         of_skies = "a trained model of skies"
     if isinstance(light, str):

@@ -208,12 +208,14 @@ def in_pictures_units(
     rows: int = MAP_ROWS,
     *,
     sunny: bool = False,
+    clock: SunPrior | None = None,
 ) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
     """The map, of so many rows, and its lamps, the strongest first; on the CPU.
 
     ``exposure`` is the picture's unit, or one for each colour. Lamps are as wide as was found, but
-    for the strongest of a ``sunny`` place, which is a sun if it is narrow and above the horizon:
-    that is drawn as wide as the sun is, with the same irradiance.
+    for the strongest of a ``sunny`` place, which is a sun if it is narrow, above the horizon and
+    where the ``clock`` has the sun, if there is one: that is drawn as wide as the sun is, with the
+    same irradiance.
     """
     model, params = light.on_rows(rows).cpu(), params.cpu()
     found = model.lamps(params)
@@ -227,11 +229,16 @@ def in_pictures_units(
         for k in range(light.count)
     ]
     lamps.sort(key=lambda lamp: -float(luminance(lamp.irradiance)))
-    if sunny and lamps and lamps[0].spread_rad < NARROW_RAD and float(lamps[0].direction[1]) > 0:
+    if sunny and lamps and _like_a_sun(lamps[0], clock):
         lamps[0] = replace(lamps[0], spread_rad=SUN_SPREAD_RAD)
     radiance = model.ambient(params) * exposure + lamps_radiance(lamps, rows)
     shape = rows, 2 * rows, 3
     return EnvironmentMap(radiance=radiance.float().reshape(shape)), tuple(lamps)
+
+
+def _like_a_sun(lamp: Lamp, clock: SunPrior | None) -> bool:
+    narrow = lamp.spread_rad < NARROW_RAD and float(lamp.direction[1]) > 0
+    return narrow and (clock is None or bool(clock.likely(lamp.direction[None])))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -407,7 +414,11 @@ class LampsProblem(LightProblem):
         light = self.family.light(best.count)
         kinds = kinds_of_place(objective, params)
         environment, lamps = in_pictures_units(
-            light, params, lights[0].exposure, sunny=kinds.get("outdoors", 0.0) > 0.5
+            light,
+            params,
+            lights[0].exposure,
+            sunny=kinds.get("outdoors", 0.0) > 0.5,
+            clock=self.faces.sun_prior,
         )
         return estimate_of(
             objective.model.name,

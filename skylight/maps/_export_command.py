@@ -172,7 +172,7 @@ def export_light(
     harmonics and cube map. gltf: light.glb with EXT_lights_image_based. usd: light.usda, a
     DomeLight. mitsuba: scene.xml. blender: load_light.py, which loads the .hdr beside it.
 
-    Given an estimate's folder, the lamps that it lists (of --light lamps, or auto) become lights
+    Given an estimate's folder, the lamps that it lists (of --light sphere or lamps) become lights
     to move and switch, beside the rest of its map: DirectionalLight, KHR_lights_punctual,
     DistantLight, directional emitters, suns. sh and ar have all light in one.
 

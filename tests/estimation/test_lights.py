@@ -12,6 +12,7 @@ from skylight.inverse._result import MAP_ROWS
 from skylight.models._lamps import LampsLight
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import angle_between
+from tests.inverse.test_sun_prior import about
 from tests.sunny_face import direction, sky_estimate, sunny_estimate
 
 
@@ -54,6 +55,9 @@ def test_a_sun_among_lamps_is_as_wide_as_the_sun_and_sends_as_much():
         assert torch.allclose(drawn.irradiance(normal), wide.irradiance(normal), rtol=2e-3)
     _, (light,) = lights_apart(replace(sunny_estimate().estimate, environment=drawn, lamps=(sun,)))
     assert (light.kind, math.degrees(light.radius_rad)) == ("sun", pytest.approx(0.2667, rel=1e-3))
+    for agrees, clock in ((True, about(30.0, 60.0)), (False, about(-150.0, 26.0))):
+        _, (told,) = in_pictures_units(model, params, 0.7, sunny=True, clock=clock)
+        assert told.is_sun == agrees
     params[..., 16 + 4] = 0.0
     _, (window,) = in_pictures_units(model, params, 0.7, sunny=True)
     assert not window.is_sun

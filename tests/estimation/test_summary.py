@@ -36,6 +36,12 @@ def test_one_lamp_is_a_lamp(found):
     assert lamp.startswith("90 % sure within a circle of")
 
 
+def test_the_likeliest_kind_of_place_is_told_without_a_share(found):
+    assert not of("place", lines(found))
+    told = lines(replace(found, kinds={"home": 0.9, "outdoors": 0.1}))
+    assert of("place", told) == ["home (the likeliest kind)"]
+
+
 def test_every_lamp_is_named(found):
     second = Lamp(
         direction=torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64),

@@ -14,9 +14,11 @@ from skylight._names import (
 from skylight._options import kind_of_place
 from skylight.errors import InputError
 from skylight.estimation._settings import EstimateSettings
+from skylight.estimation.film._estimate import FilmSettings
 from skylight.inverse._estimate import light_problems, light_there
 from skylight.inverse._lamps import LampsProblem
-from skylight.inverse._sky import SkyProblem
+from skylight.inverse._sky import SolverOptions
+from skylight.inverse._sun_prior import SunPart, SunPrior
 from skylight.models._bundle import SHIPPED
 from skylight.models._ground import KnownGround
 from skylight.models._lamps import LampsLight
@@ -59,18 +61,29 @@ def test_where_there_is_no_sky_nothing_gives_way(caplog):
 
 
 def test_what_is_asked_of_skies_makes_the_light_one():
-    """Each of what only skies have, at both doors; the settings tell the light that is taken."""
+    """Each of what only skies have; the settings tell the light that is taken."""
     for asked in ({"model": SHIPPED}, {"solver": "thesis"}):
         settings = EstimateSettings(device="cpu", **asked)
         assert settings.light == settings.facts()["light"] == DEFAULT_SKY
         assert EstimateSettings(place="outdoors", device="cpu", **asked).light == DEFAULT_SKY
     assert light_there(DEFAULT_LIGHT, "auto", model=SHIPPED) == DEFAULT_SKY
-    (problem,) = light_problems(DEFAULT_LIGHT, model=SHIPPED, device="cpu")
-    assert isinstance(problem, SkyProblem)
     with pytest.raises(InputError, match="lamps has no trained model: leave --model out"):
         EstimateSettings(light="lamps", model=SHIPPED, device="cpu")
     with pytest.raises(InputError, match="holds skies, for --light autoencoder"):
         EstimateSettings(place="indoors", model=SHIPPED, device="cpu")
+
+
+def test_ground_clock_and_films_are_for_the_default(caplog):
+    assert EstimateSettings(ground=GROUND, device="cpu").light == DEFAULT_LIGHT
+    assert FilmSettings().estimate.light == DEFAULT_LIGHT
+    sun = SunPrior(parts=(SunPart(share=1.0, zenith_rad=0.5),))
+    (problem,) = light_problems(
+        DEFAULT_LIGHT, sun_priors=[sun], options=SolverOptions(ground=GROUND), device="cpu"
+    )
+    assert isinstance(problem, LampsProblem)
+    assert problem.ground == GROUND
+    assert problem.faces.sun_prior is not None
+    assert not caplog.records
 
 
 @pytest.mark.parametrize("light", ["lamps", "auto"])
@@ -89,8 +102,7 @@ def test_settings_of_a_place():
     assert there.light == DEFAULT_LIGHT
     assert there.facts()["place"] == "indoors"
     assert "place" not in EstimateSettings(device="cpu").facts()
-    with pytest.raises(InputError, match="lamps has none"):
-        EstimateSettings(light="lamps", place="flash", ground=GROUND, device="cpu")
+    assert EstimateSettings(place="flash", ground=GROUND, device="cpu").light == DEFAULT_LIGHT
     with pytest.raises(InputError, match="unknown detail 'all': choose none, photo, mirrored"):
         check_detail_name("all")
 
