@@ -95,8 +95,7 @@ def estimate(
             sky with a sun; lamps in ambient light (rooms, studios, streets at night); spherical
             harmonics with 9 or 25 coefficients; or auto, the likelier of learnt skies and lamps,
             for half as much time again as skies alone. What only skies have (--model of skies,
-            --ground-albedo, --time, --solver thesis) makes the default learnt skies, and a line
-            says so; of films they are the default.
+            --solver thesis) makes the default learnt skies, and a line says so.
         model: Folder of a trained model of your own instead of the one that comes with skylight:
             of skies, for --light autoencoder, sunsky or auto, or of places, for sphere.
         network: Class of that model's network, where it is yours, as module:Class.

@@ -148,10 +148,6 @@ class Pictures:
         names = tuple(names or (_name(one, k, len(images)) for k, one in enumerate(images, 1)))
         known = _known_of(photos[0], taken, ignore_exif_sun=settings.ignore_exif_sun)
         prior, of_sun = sun_prior(known)
-        # EXIF data, which most photographs have, choose no light
-        by_hand = prior is not None and taken is not None
-        if by_hand and not follows_clock(settings.light, settings.prior, settings.place):
-            settings = settings.for_skies("time, place or heading")
         if prior is not None and not follows_clock(settings.light, settings.prior, settings.place):
             name = name_of(settings.light)
             told = name if settings.place == "auto" else f"{name}, {settings.place}"

@@ -143,10 +143,6 @@ class EstimateSettings:
         if not isinstance(light, str):
             own_light(light, self.prior, where)
 
-    def for_skies(self, what: str) -> "EstimateSettings":
-        """For ``what`` only skies have: in the default's place learnt skies, where they can be."""
-        return replace(self, light=light_there(self.light, self.place, of_skies=what))
-
     @property
     def landmarker(self) -> FaceLandmarker:
         """What finds faces; names of what is not installed are refused here."""

@@ -21,6 +21,7 @@ from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.models._bundle import SHIPPED
 from skylight.models._ground import KnownGround
 from skylight.models._lamps import LampsLight
+from tests.inverse.test_sun_prior import about
 
 GROUND = KnownGround(albedo=(0.2, 0.2, 0.2))
 
@@ -61,19 +62,32 @@ def test_where_there_is_no_sky_nothing_gives_way(caplog):
 
 def test_what_is_asked_of_skies_makes_the_light_one():
     """Each of what only skies have, at both doors; the settings tell the light that is taken."""
-    for asked in ({"model": SHIPPED}, {"solver": "thesis"}, {"ground": GROUND}):
+    for asked in ({"model": SHIPPED}, {"solver": "thesis"}):
         settings = EstimateSettings(device="cpu", **asked)
         assert settings.light == settings.facts()["light"] == DEFAULT_SKY
         assert EstimateSettings(place="outdoors", device="cpu", **asked).light == DEFAULT_SKY
-    assert FilmSettings().estimate.light == DEFAULT_SKY
+    assert FilmSettings().estimate.light == DEFAULT_LIGHT
     assert FilmSettings(estimate=EstimateSettings(light="sunsky")).estimate.light == "sunsky"
     assert light_there(DEFAULT_LIGHT, "auto", model=SHIPPED) == DEFAULT_SKY
-    (problem,) = light_problems(DEFAULT_LIGHT, options=SolverOptions(ground=GROUND), device="cpu")
+    (problem,) = light_problems(DEFAULT_LIGHT, model=SHIPPED, device="cpu")
     assert isinstance(problem, SkyProblem)
     with pytest.raises(InputError, match="lamps has no trained model: leave --model out"):
         EstimateSettings(light="lamps", model=SHIPPED, device="cpu")
     with pytest.raises(InputError, match="holds skies, for --light autoencoder"):
         EstimateSettings(place="indoors", model=SHIPPED, device="cpu")
+
+
+def test_the_default_takes_the_ground_and_the_clock():
+    assert EstimateSettings(ground=GROUND, device="cpu").light == DEFAULT_LIGHT
+    (problem,) = light_problems(
+        DEFAULT_LIGHT,
+        options=SolverOptions(ground=GROUND),
+        sun_priors=[about(0.0, 40.0)],
+        device="cpu",
+    )
+    assert isinstance(problem, LampsProblem)
+    assert problem.ground == GROUND
+    assert problem.faces.sun_prior is not None
 
 
 @pytest.mark.parametrize("light", ["lamps", "auto"])
@@ -92,8 +106,8 @@ def test_settings_of_a_place():
     assert there.light == DEFAULT_LIGHT
     assert there.facts()["place"] == "indoors"
     assert "place" not in EstimateSettings(device="cpu").facts()
-    with pytest.raises(InputError, match="sphere has none"):
-        EstimateSettings(place="flash", ground=GROUND, device="cpu")
+    with pytest.raises(InputError, match="lamps has none"):
+        EstimateSettings(light="lamps", ground=GROUND, device="cpu")
     with pytest.raises(InputError, match="unknown detail 'all': choose none, photo, mirrored"):
         check_detail_name("all")
 
