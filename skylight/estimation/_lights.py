@@ -7,9 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight._figures import named_angles
-from skylight.inverse._lamp_relighting import without_lamps
 from skylight.inverse._result import Estimate
-from skylight.relight._lamps import disc_diameter_rad, split_main_light
+from skylight.relight._lamps import disc_diameter_rad, split_main_light, without_lamps
 from skylight.skies._sun import SUN_RADIUS_RAD
 from skylight.sphere._envmap import EnvironmentMap
 

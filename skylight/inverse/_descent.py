@@ -42,12 +42,20 @@ def deviations(
 
     Then of the photographs' backgrounds.
     """
+    of_faces, behind = deviations_apart(objective, free, problem)
+    return torch.cat([of_faces, *behind.values()], 1)
+
+
+def deviations_apart(
+    objective: LightObjective, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+) -> tuple[Float[Tensor, "b _"], dict[int, Float[Tensor, "b _"]]]:
+    """Those of all faces, and of each photograph's background."""
     parts = objective.unpack(free)
     light = objective.radiance(parts)
     shadings = objective.shading(parts, problem, light)
     every = zip(objective.faces, shadings, strict=True)
     of_faces = [face.deviation(shading, problem).flatten(1) for face, shading in every]
-    return torch.cat([*of_faces, *objective.behind(parts, light).values()], 1)
+    return torch.cat(of_faces, 1), objective.behind(parts, light)
 
 
 @torch.no_grad()
@@ -59,12 +67,9 @@ def deviation_weights(
     Faces and backgrounds are trusted as far as they are at ``free``: minimised so again and again,
     the objective falls (majorisation).
     """
-    parts = objective.unpack(free)
-    behind = objective.behind(parts, objective.radiance(parts))
-    of_faces = objective.deviation_weights(deviations(objective, free, problem), problem)
-    if not behind:
-        return of_faces
-    return torch.cat([of_faces, objective.background_weights(behind)], 1)
+    off, behind = deviations_apart(objective, free, problem)
+    of_faces = objective.deviation_weights(off, problem)
+    return torch.cat([of_faces, objective.background_weights(behind)], 1) if behind else of_faces
 
 
 @torch.no_grad()

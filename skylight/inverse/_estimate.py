@@ -72,7 +72,7 @@ def estimate_light(
         makes them.
     light
         "sphere" (any place, with up to three lamps, on the whole sphere), which gives way to
-        "autoencoder" where ``model`` is of skies;
+        "autoencoder" where ``model`` is one of skies;
         "autoencoder" (learnt skies), "sunsky" (Preetham's sky and a sun), "lamps" (up to three in
         ambient light, on the whole sphere), "auto" (the likelier of "autoencoder" and "lamps"),
         "sh9" or "sh25" (spherical harmonics up to degree 2 or 4); or a
@@ -199,10 +199,9 @@ def light_problems(
     sun_priors = sun_priors or [None] * count
     exposures = exposures or [None] * count
     where, options = choose_device(device), options or SolverOptions()
-    has_sun = any(one is not None for one in sun_priors)
     light = light_there(light, place, model=model)
     check_goes_together(light, prior, model)
-    if has_sun and not follows_clock(light, prior):
+    if any(one is not None for one in sun_priors) and not follows_clock(light, prior):
         raise InputError(
             "lamps are not the sun, nor is light of the whole sphere of your own: leave sun_prior "
             f"out, or choose another light than {name_of(light)}"

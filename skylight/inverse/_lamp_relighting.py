@@ -46,13 +46,6 @@ def lamps_radiance(lamps: Sequence[Lamp], rows: int) -> Float[Tensor, "n 3"]:
     return torch.einsum("kn,kc->nc", lobes, received / LampsLight.facing(widths)[:, None])
 
 
-def without_lamps(light: EnvironmentMap, lamps: Sequence[Lamp]) -> EnvironmentMap:
-    """A map without lamps that were drawn into it as :func:`lamps_radiance` draws them."""
-    drawn = lamps_radiance(lamps, light.layout[0]).reshape(light.radiance.shape)
-    rest = (light.radiance.double() - drawn).clamp(min=0)
-    return EnvironmentMap(radiance=rest.to(light.radiance))
-
-
 @dataclass(frozen=True, kw_only=True)
 class LampLight:
     """Ambient light and ``level``, its mean luminance, with some ``lamps``.

@@ -432,8 +432,7 @@ class LightObjective:
         if not self.weights.noise_of_face:
             return off.new_ones(len(off), len(self.faces))
         shares = self._shares(problem)
-        sizes = [share.shape[1] for share in shares]
-        of_faces = off[:, : sum(sizes)].split(sizes, 1)
+        of_faces = off.split([share.shape[1] for share in shares], 1)
         each = zip(of_faces, shares, strict=True)
         means = torch.stack([(charbonnier(r) * share).sum(1) for r, share in each], 1)
         return (means / self.weights.noise).clamp(min=1)

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.imaging._edits import Edit
-from skylight.inverse._descent import Iterates, deviations, jacobian
+from skylight.inverse._descent import Iterates, deviations_apart, jacobian
 from skylight.inverse._faces import Level, LitFaces
 from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._least_squares import hessian_at, laplace, spreads_at
@@ -75,25 +75,24 @@ class _Minimum:
     def at(
         objective: LightObjective, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None
     ) -> "_Minimum":
-        off, change = deviations(objective, free, problem), jacobian(objective, free, problem)
+        off, behind = deviations_apart(objective, free, problem)
+        change = jacobian(objective, free, problem)
         weights = objective.deviation_weights(off, problem)
-        seen = weights.shape[1]
+        seen = off.shape[1]
         # what concave costs are above their tangents
         more = objective.scale_of_noise(off, problem).log().sum(1) * objective.weights.independent
         _, of_priors = objective.prior_shape(free, problem, clock=False)
-        hessian = hessian_at(off[:, :seen], change[:, :seen], weights, of_priors)
-        if objective.backgrounds:
-            rows, along = off[:, seen:], change[:, seen:]
-            parts = objective.unpack(free)
-            each = objective.behind(parts, objective.radiance(parts))
-            counted = objective.background_weights(each) / charbonnier(rows)
+        hessian = hessian_at(off, change[:, :seen], weights, of_priors)
+        if behind:
+            rows, along = torch.cat(list(behind.values()), 1), change[:, seen:]
+            counted = objective.background_weights(behind) / charbonnier(rows)
             hessian = hessian + (along.mT @ (along * counted[:, :, None])).double()
-            more = more + objective.background_nll(each)
+            more = more + objective.background_nll(behind)
         return _Minimum(
             objective=objective,
             free=free,
             problem=problem,
-            deviations=off[:, :seen],
+            deviations=off,
             more=more,
             weights=weights,
             hessian=hessian,

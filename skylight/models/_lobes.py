@@ -99,18 +99,20 @@ class LampedLight(ParametricLight):
 
         Of ``A = E / <Y(E)>`` with log E of slopes G they are ``A (G - <Y(A G)>)``, Y luminance.
         """
-        ambient = self.ambient(params).mT
-        log = self.ambient_log_slopes(params)
-        share = self.log_solid_angle.to(ambient).exp() / (4 * math.pi)
-        weights = ambient * ambient.new_tensor(LUMINANCE)[:, None] * share
-        mean = log.flatten(2) @ weights.flatten(1)[..., None]
-        changes = (log - mean[..., None]) * ambient[:, None]
-        if self.count:
-            of_lamps = self._lamp_slopes(params)
-            if self.azimuth_index is not None:
-                changes[:, self.azimuth_index] += of_lamps[:, self.azimuth_index]
-            changes = torch.cat([changes, of_lamps[:, self.ambient_parameters :]], 1)
-        return changes.mT
+        params = single(params)
+        with full_precision(params):
+            ambient = self.ambient(params).mT
+            log = self.ambient_log_slopes(params)
+            share = self.log_solid_angle.to(ambient).exp() / (4 * math.pi)
+            weights = ambient * ambient.new_tensor(LUMINANCE)[:, None] * share
+            mean = log.flatten(2) @ weights.flatten(1)[..., None]
+            changes = (log - mean[..., None]) * ambient[:, None]
+            if self.count:
+                of_lamps = self._lamp_slopes(params)
+                if self.azimuth_index is not None:
+                    changes[:, self.azimuth_index] += of_lamps[:, self.azimuth_index]
+                changes = torch.cat([changes, of_lamps[:, self.ambient_parameters :]], 1)
+            return changes.mT
 
     def _lamp_slopes(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b p 3 n"]:
         """Derivatives of the lamps' radiance.

@@ -275,13 +275,13 @@ def row_turns(
     """
     column = torch.arange(width, device=azimuth_rad.device)
     order = column[: width // 2 + 1]
-    share = torch.where((order == 0) | (2 * order == width), 1, 2) / width
-    waves = 2 * math.pi / width * (order[:, None] * column % width)
+    share = torch.where((order == 0) | (2 * order == width), 1, 2).to(azimuth_rad) / width
+    waves = 2 * math.pi / width * (order[:, None] * column % width).to(azimuth_rad)
     phase = azimuth_rad[..., None] * order
     cos, sin = share * phase.cos(), share * phase.sin()
     if slope:
         cos, sin = -order * sin, order * cos
-    turned_first = cos @ waves.cos().to(cos) + sin @ waves.sin().to(cos)
+    turned_first = cos @ waves.cos() + sin @ waves.sin()
     return turned_first[..., (column - column[:, None]) % width]
 
 
@@ -378,27 +378,31 @@ class SpherePrior(Module):
         latents the mean of the normals' precisions. Of lamps it is by differences, without its
         negative eigenvalues.
         """
-        share, z = torch.softmax(self.of_components(x), -1), self.latents
-        factors = self.precision_factors.to(x.dtype)
-        precisions = factors @ factors.mT
-        pulls = torch.einsum("bmz,mzy->bmy", x[:, None, :z] - self.means.to(x.dtype), precisions)
-        slope, hessian = torch.zeros_like(x), x.new_zeros(*x.shape, x.shape[1])
-        slope[:, :z] = torch.einsum("bm,bmz->bz", share, pulls)
-        hessian[:, :z, :z] = torch.einsum("bm,mzy->bzy", share, precisions)
-        kinds = share.new_zeros(len(x), len(self.kinds)).index_add(-1, self.kind, share)
+        x = single(x)
+        with full_precision(x):
+            share, z = torch.softmax(self.of_components(x), -1), self.latents
+            factors = self.precision_factors.to(x.dtype)
+            precisions = factors @ factors.mT
+            pulls = torch.einsum(
+                "bmz,mzy->bmy", x[:, None, :z] - self.means.to(x.dtype), precisions
+            )
+            slope, hessian = torch.zeros_like(x), x.new_zeros(*x.shape, x.shape[1])
+            slope[:, :z] = torch.einsum("bm,bmz->bz", share, pulls)
+            hessian[:, :z, :z] = torch.einsum("bm,mzy->bzy", share, precisions)
+            kinds = share.new_zeros(len(x), len(self.kinds)).index_add(-1, self.kind, share)
 
-        def of_lamps(each: Tensor, rows: Tensor) -> Tensor:
-            return -(kinds[rows] * self._of_lamps(each)).sum(-1)
+            def of_lamps(each: Tensor, rows: Tensor) -> Tensor:
+                return -(kinds[rows] * self._of_lamps(each)).sum(-1)
 
-        if self.count:
-            each = x[:, z:].unflatten(1, (self.count, LAMP_PARAMETERS)).flatten(0, 1)
-            rows = torch.arange(len(x), device=x.device).repeat_interleave(self.count)
-            slopes, hessians = convex_shape(of_lamps, each, rows)
-            slope[:, z:] = slopes.reshape(len(x), -1)
-            for k, of_lamp in enumerate(hessians.unflatten(0, (len(x), -1)).unbind(1)):
-                own = slice(z + LAMP_PARAMETERS * k, z + LAMP_PARAMETERS * (k + 1))
-                hessian[:, own, own] = of_lamp
-        return slope, hessian
+            if self.count:
+                each = x[:, z:].unflatten(1, (self.count, LAMP_PARAMETERS)).flatten(0, 1)
+                rows = torch.arange(len(x), device=x.device).repeat_interleave(self.count)
+                slopes, hessians = convex_shape(of_lamps, each, rows)
+                slope[:, z:] = slopes.reshape(len(x), -1)
+                for k, of_lamp in enumerate(hessians.unflatten(0, (len(x), -1)).unbind(1)):
+                    own = slice(z + LAMP_PARAMETERS * k, z + LAMP_PARAMETERS * (k + 1))
+                    hessian[:, own, own] = of_lamp
+            return slope, hessian
 
     def _of_lamps(self, each: Float[Tensor, "*b 7"]) -> Float[Tensor, "*b k"]:
         """Log density of a lamp in places of each kind."""

@@ -11,7 +11,6 @@ open: no albedo, specular scale, white balance or normals are estimated, and log
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -103,22 +102,6 @@ def _as_white(observation: Observation, material: ObjectMaterial) -> Observation
     return replace(observation, transport=white, specular=None)
 
 
-@torch.enable_grad()
-def _along_axes(
-    function: Callable[[Tensor], Tensor], x: Float[Tensor, "b q"]
-) -> Float[Tensor, "q b n 3"]:
-    """Derivatives by each unknown: of v -> J^T v, which is linear, by reverse mode twice.
-
-    Forward mode would import torch's compiler, which takes seconds.
-    """
-    x = x.detach().requires_grad_()
-    value = function(x)
-    v = torch.zeros_like(value).requires_grad_()
-    (pulled,) = torch.autograd.grad(value, x, v, create_graph=True)
-    axes = torch.eye(x.shape[1]).to(x)[:, None].expand(-1, len(x), -1)
-    return torch.autograd.grad(pulled, v, axes, is_grads_batched=True)[0]
-
-
 @dataclass(frozen=True, kw_only=True)
 class _Objective:
     """f of the module's text. Points (b,q) are parameters of the light, then log e (3).
@@ -174,8 +157,9 @@ class _Objective:
             return (self.shading(radiance(x)) - self.observation.pixels).flatten(1)
 
         def jacobian(x: Tensor, _: Int[Tensor, " b"]) -> Float[Tensor, "b m q"]:
-            changes = _along_axes(radiance, x)
-            return self.shading(changes).flatten(2).movedim(0, 2)
+            of_light = x[:, None, None, -3:].exp() * model.slopes(x[:, :-3])
+            of_exposures = torch.diag_embed(radiance(x)).movedim(-1, 1)
+            return self.shading(torch.cat([of_light, of_exposures], 1)).flatten(2).mT
 
         def prior(x: Tensor, _: Int[Tensor, " b"]) -> Float[Tensor, " b"]:
             return -density.log_prob(x[:, :-3])

@@ -11,11 +11,11 @@ from torch import Tensor
 
 from skylight._names import PLAIN_READING, MapReading
 from skylight.errors import InputError
-from skylight.inverse._lamp_relighting import lamps_radiance, without_lamps
+from skylight.inverse._lamp_relighting import lamps_radiance
 from skylight.inverse._result import Estimate, Lamp
 from skylight.io._files import read_environment_map
 from skylight.portrait._relit import light_in_photo
-from skylight.relight._lamps import split_main_light
+from skylight.relight._lamps import split_main_light, without_lamps
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import direction_from_angles
 from skylight.transport._render import SMOOTH_HEIGHT

@@ -7,7 +7,14 @@ import pytest
 import torch
 
 from skylight.inverse._background import BEND, ROW_WEIGHT, BackgroundSpreads, BackgroundTerm
-from skylight.inverse._descent import Iterates, Stage, descend, deviation_weights, deviations
+from skylight.inverse._descent import (
+    Iterates,
+    Stage,
+    descend,
+    deviation_weights,
+    deviations,
+    deviations_apart,
+)
 from skylight.inverse._faces import (
     FaceTerm,
     Level,
@@ -170,8 +177,8 @@ def test_rows_and_weights_are_the_tangent_of_the_objective():
     one.weights = replace(one.weights, noise_of_face=True)
     generator = torch.Generator().manual_seed(3)
     here, there = (0.5 * torch.randn(1, one.size, generator=generator) for _ in range(2))
-    off = deviations(one, here)
-    count = one.deviation_weights(off).shape[1]
+    off, _ = deviations_apart(one, here)
+    count = off.shape[1]
     weights = deviation_weights(one, here)
     assert float(one.scale_of_noise(off).min()) > 1.2
 

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from skylight.models._base import without_azimuth
 from skylight.models._lamps import LampsLight
 from skylight.models._sphere import SphereLight, SpherePrior, row_turns
 from tests.models.test_sphere import small_places
@@ -33,14 +34,25 @@ def test_what_is_cut_off_has_no_slope() -> None:
 
 
 def test_rows_turn_as_waves_do() -> None:
-    turn, width = torch.tensor([0.3, 2 * math.pi / 8]).double(), 8
+    turn, width = torch.tensor([0.3, 2 * math.pi / 8], dtype=torch.float64), 8
     angle = 2 * math.pi * torch.arange(width).double() / width
     wave = torch.cos(3 * angle)
     turned = wave @ row_turns(turn, width)
     torch.testing.assert_close(turned[0], torch.cos(3 * (angle - 0.3)))
-    torch.testing.assert_close(turned[1], wave.roll(1))
+    torch.testing.assert_close(turned[1], wave.roll(1), rtol=0, atol=1e-14)
     slope = wave @ row_turns(turn, width, slope=True)
     torch.testing.assert_close(slope[0], 3 * torch.sin(3 * (angle - 0.3)))
+
+
+def test_autocast_takes_no_digits() -> None:
+    light, prior = SphereLight(1, 8, small_places()), SpherePrior(1, small_places())
+    params = torch.randn(2, light.parameter_count, generator=torch.Generator().manual_seed(6))
+    free = without_azimuth(light, params)
+    exact = light.slopes(params), *prior.convex_shape(free)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = light.slopes(params), *prior.convex_shape(free)
+    for one, other in zip(found, exact, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
 
 
 def test_what_is_above_a_prior_touches_it() -> None:

@@ -160,6 +160,7 @@ class _Film:
         self.own = own[own < len(index) - ground]
         self.shared = np.setdiff1d(index, self.own)
         self.lights = light
+        self.sunny = any(lamp.is_sun for lamp in start.lamps)
         self.free = torch.cat([_starting(objective, start) for objective in self.objectives])
         self.groups = [
             _together(solver, frames[i : i + _GROUP]) for i in range(0, len(frames), _GROUP)
@@ -227,7 +228,9 @@ class _Film:
         exposure = float(parts.exposure[0, 0]) * face.mean
         lamps: tuple[Lamp, ...] = ()
         if isinstance(self.model, LampedLight):
-            environment, lamps = in_pictures_units(self.model, parts.light[0], exposure)
+            environment, lamps = in_pictures_units(
+                self.model, parts.light[0], exposure, sunny=self.sunny
+            )
         else:
             environment = environment_of(
                 self.model, parts.light[0], parts.ground_albedo[0], exposure
