@@ -2,33 +2,36 @@
 
 Inside of its view a photograph shows the light itself, in the units of the estimate: its linear
 values without its edit, over the white balance. With P that picture and L the estimate without its
-sun and lamps, ::
+sun and lamps, the view is multiplied by exp(D),
 
-    D = ln P - ln L = low + high,
+    D = ln P - ln L,
 
-``low`` a mean over :data:`LOW_RAD` of what is known
-(:class:`~skylight.faces._background.BackgroundPixels`). Where they agree within a doubt, the view
-gets the photograph's pixels; where ``low`` is large beyond doubt (a wall at one metre, a backdrop),
-the estimate's level with the photograph's detail (:func:`believed`). Where a pixel is clipped D is
-a lower bound, and never darkens.
+where the background is known (:class:`~skylight.faces._background.BackgroundPixels`): those are the
+photograph's pixels. Where their mean is off beyond doubt (:func:`trust_in`; a wall at one metre, a
+backdrop), they have the estimate's level, by one gain for all channels: a tint that is taken away
+leaves its complement wherever the view has none. Where a pixel is clipped D is a lower bound, 0 at
+least. Behind the person and beyond the picture's edges D goes on smoothly, as means over
+neighbourhoods of growing size, and fades (:func:`continued`).
 
-``mirrored`` multiplies what lies outside of the view by ``exp(high)`` of patches of the view
-(:func:`surrounding_texture`): above the horizon of what is above it, below of what is below.
+``mirrored`` multiplies what the photograph does not show by its fine texture
+(:func:`surrounding_texture`): above the horizon that of what is above it, below of what is below.
 
-The light does not change: outside of the view, the map is multiplied by ``exp(sum_k c_k Y_k)`` with
-the c by which its harmonics are the estimate's in all degrees that irradiance depends on, up to 6
-(Ramamoorthi and Hanrahan 2001). Of all maps with those harmonics, that is nearest to the detailed
-one in relative entropy.
+The light does not change: the map is multiplied by ``exp(sum_k c_k Y_k)``, the less the farther
+within the view (:data:`FREE_RAD`, so that there is no seam), with the c by which its harmonics are
+the estimate's, of degrees 0 to 2, and of 4 as well where irradiance is off by :data:`MOST_OFF` else
+(Ramamoorthi and Hanrahan 2001). Where that takes too much, there is less detail.
 """
 
 import math
 from dataclasses import dataclass
+from itertools import product
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
 from numpy import ndarray
+from torch import Tensor
 
 from skylight._names import DetailName
 from skylight.estimation._lights import lights_apart
@@ -37,22 +40,29 @@ from skylight.imaging._edits import UNEDITED, Edit
 from skylight.inverse._result import Estimate
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap, averaged, bilinear
-from skylight.sphere._frame import DirectionGrid, pixel_from_direction
+from skylight.sphere._frame import (
+    DirectionGrid,
+    angles_from_direction,
+    direction_from_angles,
+    pixel_from_direction,
+)
 from skylight.transport._cameras import Camera
 
 PIXEL_RAD = math.radians(0.35)  # of the view, at least: half a pixel of the map
-LOW_RAD = math.radians(8.0)  # standard deviation of the mean that is called low
-BORDER_RAD, PERSON_RAD = math.radians(6.0), math.radians(3.0)  # feathers
-DOUBT = 0.7  # nats between a view and an estimate, where each is believed by half
+FEATHER_RAD = math.radians(1.2)  # at the person and at the picture's edges
+# Standard deviations of the means by which D goes on, and how much no change weighs in each
+CONTINUED_RAD = tuple(math.radians(angle) for angle in (6.0, 3.0, 1.5))
+LEAST_SEEN = 0.03
+DOUBT = 0.7  # nats between the means of a view and an estimate, where each is believed by half
 MOST_DETAIL = 3.0  # nats: a black pixel tells no more
 FLOOR = 3e-4  # of the picture's white: one code of eight bits
 SOLVED_ROWS = 64
-# Patches of texture: so many lie over each other; each has this share of a view's shorter side, and
-# is enlarged to this radius, as the sphere is larger than a view
-PATCHES, PATCH_SHARE, PATCH_RAD = 12.0, 0.4, math.radians(24.0)
-FAINTEST = 0.4  # texture at zenith and nadir
-MOST_TEXTURE = 0.7  # nats
-MOST_CHANGE = math.log(1.5)  # of what lies outside of the view, to keep the light as it was
+# Texture: what is coarser is none; how much it is enlarged, as the sphere is larger than a view;
+# how far above and below the view it is gone; and its contrast, in nats
+TEXTURE_RAD, ENLARGED, FADE_RAD, MOST_TEXTURE = math.radians(4.0), 3.0, math.radians(40.0), 0.4
+FREE_RAD = math.radians(8.0)  # standard deviation of the edge of what takes the light back
+MOST_OFF = 0.008  # of irradiance, anywhere
+MOST_CHANGE = math.log(2.0)  # anywhere, to keep the light as it was
 
 
 def detailed(
@@ -68,28 +78,53 @@ def detailed(
     rest, _ = lights_apart(estimate)
     lights = (estimate.environment.radiance - rest.radiance).clamp(min=0)
     base = rest.radiance.double().numpy().clip(1e-6 * float(rest.radiance.mean()) + 1e-12)
-    low, high = view.against(base)
-    inside, beyond = Sampling.of_view(view, base.shape[:2]), np.zeros_like(base)
+    towards = rest.grid.directions.reshape(base.shape)
+    (ratio, trust), inside = view.against(base), Sampling.of_view(view, towards)
+    seen = inside.feather * inside(view.known)
+    shown = inside.feather[..., None] * inside(ratio * view.known[..., None])
+    change = continued(shown, seen, trust)
     if detail == "mirrored":  # where the person stood too
-        seen = inside.feather[..., None] * inside(view.known)[..., None]
-        beyond = (1 - seen) * surrounding_texture(high, view, base.shape[:2])
+        change += (1 - seen)[..., None] * surrounding_texture(ratio, view, base.shape[:2])
     white = inside.clipped > 0.5
-    free = np.where(white, 0.0, 1 - inside.feather)
-    for share in (1.0, 0.5, 0.25, 0.0):
-        change = inside(share * believed(low) + high * view.known[..., None])
-        change *= inside.feather[..., None]
-        change[white] = change[white].clip(0)
-        light, most = with_the_light_of(base, base * np.exp(change + beyond), free)
-        if most < MOST_CHANGE:
-            break
-    return EnvironmentMap(radiance=torch.from_numpy(light).to(lights) + lights)
+    change[white] = change[white].clip(0)
+    free = 1 - _blurred(inside.feather, FREE_RAD * len(base) / math.pi)
+    for share, degree in product((1.0, 0.7, 0.5, 0.3, 0.1), (2, 4)):
+        light = base * np.exp(share * change)
+        gain = gain_back_to(base, light, free, degree)
+        light *= gain
+        off = irradiances(light) / irradiances(base) - 1
+        if np.abs(np.log(gain)).max() < MOST_CHANGE and np.abs(off).max() < MOST_OFF:
+            return EnvironmentMap(radiance=torch.from_numpy(light).to(lights) + lights)
+    return estimate.environment
 
 
-def believed(low: Float[ndarray, "h w 3"]) -> Float[ndarray, "h w 3"]:
-    """``low / (1 + (|low| / DOUBT)^4)``, with the largest of the channels: a few tenths are the
-    photograph's to tell, a factor of ten is not."""
-    size = np.abs(low).max(-1, keepdims=True) / DOUBT
-    return low / (1 + size**4)
+def irradiances(light: Float[ndarray, "r c 3"]) -> Float[ndarray, "n 3"]:
+    """Of a map, on surfaces that face every way."""
+    grid = DirectionGrid.latlong(SOLVED_ROWS // 2)
+    normals = DirectionGrid.latlong(8).directions
+    facing = (normals @ grid.directions.T).clamp(min=0) * grid.solid_angles
+    coarse = averaged(torch.from_numpy(light), SOLVED_ROWS // 2).reshape(-1, 3)
+    return (facing @ coarse.to(facing)).numpy()
+
+
+def trust_in(mean: Float[ndarray, "3"]) -> float:
+    """``1 / (1 + (max |mean| / DOUBT)^4)``: how far a view is believed whose D has that mean."""
+    return 1 / (1 + (float(np.abs(mean).max()) / DOUBT) ** 4)
+
+
+def continued(
+    shown: Float[ndarray, "r c 3"], seen: Float[ndarray, "r c"], trust: float
+) -> Float[ndarray, "r c 3"]:
+    """A map's change, ``shown`` times where it is ``seen``, 0 to 1, and smoothly on to 0 elsewhere.
+
+    The sooner, the less it is to be trusted.
+    """
+    around, least = np.zeros_like(shown), LEAST_SEEN / trust
+    for angle in CONTINUED_RAD:
+        sigma = angle * len(shown) / math.pi
+        near = _blurred(seen, sigma)[..., None] + least
+        around = (_blurred(shown, sigma) + least * around) / near
+    return shown + (1 - seen)[..., None] * around
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,16 +169,17 @@ class View:
         return View(
             camera=camera,
             radiance=(seen / white_balance).astype(np.float64),
-            known=_smooth(beside / PERSON_RAD),
-            border=_smooth(edge / min(BORDER_RAD, 0.2 * min(size) / camera.focal_px)),
+            known=_smooth(beside / FEATHER_RAD),
+            border=_smooth(edge / min(FEATHER_RAD, 0.2 * min(size) / camera.focal_px)),
             clipped=clipped,
             grey=grey,
         )
 
-    def against(
-        self, base: Float[ndarray, "r c 3"]
-    ) -> tuple[Float[ndarray, "h w 3"], Float[ndarray, "h w 3"]]:
-        """(low, high): D of the module's text; where the person stands low is filled in, high 0."""
+    def against(self, base: Float[ndarray, "r c 3"]) -> tuple[Float[ndarray, "h w 3"], float]:
+        """D of the module's text, of no meaning where the person stands, and its :func:`trust_in`.
+
+        What it is not trusted for is its level: colours stay the photograph's.
+        """
         row, column = pixel_from_direction(self.camera.rays(), *base.shape[:2])
         expected = bilinear(torch.from_numpy(base), row, column).numpy()
         expected = expected.reshape(self.radiance.shape)
@@ -151,11 +187,11 @@ class View:
         if self.grey:
             ratio = ratio.mean(-1, keepdims=True).repeat(3, -1)
         ratio = np.where(self.clipped[..., None] > 0.5, ratio.clip(0), ratio)
-        weight = self.known + 1e-6
-        sigma = LOW_RAD * self.camera.focal_px
-        low = _blurred(ratio * weight[..., None], sigma) / _blurred(weight, sigma)[..., None]
-        high = (ratio - low).clip(-MOST_DETAIL, MOST_DETAIL)
-        return low, np.where(self.known[..., None] > 0, high, 0.0)
+        ratio = ratio.clip(-MOST_DETAIL, MOST_DETAIL)
+        weight = self.known * self.border
+        mean = (ratio * weight[..., None]).sum((0, 1)) / max(weight.sum(), 1e-9)
+        trust = trust_in(mean)
+        return ratio - (1 - trust) * mean.mean(), trust
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,9 +205,9 @@ class Sampling:
     clipped: Float[ndarray, "r c"]
 
     @staticmethod
-    def of_view(view: View, layout: tuple[int, int]) -> "Sampling":
-        """Of all pixels of a map of that layout."""
-        directions = DirectionGrid.latlong(*layout).directions
+    def of_view(view: View, directions: Float[Tensor, "r c 3"]) -> "Sampling":
+        """Of all pixels of a map, that look in those ``directions``."""
+        layout, directions = directions.shape[:2], directions.reshape(-1, 3)
         ahead = directions[:, 2] < -1e-3
         places = view.camera.project(
             torch.where(ahead[:, None], directions, directions.new_tensor([0.0, 0.0, -1.0]))
@@ -194,127 +230,84 @@ class Sampling:
 
 
 def surrounding_texture(
-    high: Float[ndarray, "h w 3"], view: View, layout: tuple[int, int]
+    ratio: Float[ndarray, "h w 3"], view: View, layout: tuple[int, int]
 ) -> Float[ndarray, "r c 3"]:
-    """Logarithm of a texture round the sphere: patches of the view, as they are or mirrored.
+    """Logarithm of a texture round the sphere: the view's, mirrored at its edges again and again.
 
-    Patches overlap and fade into each other, weighted so that contrast is kept. One shows the view
-    at its own height, beyond the view's top and bottom what is next to these: above the horizon is
-    only what was above it. People are left out. Same view, same texture.
+    Beyond the edges it is enlarged by about :data:`ENLARGED`, so that an odd number of views closes
+    the circle; above and below the view, where it is mirrored no farther than to the horizon, it
+    fades. People have none.
     """
-    camera = view.camera
-    detail = MOST_TEXTURE * np.tanh(high / MOST_TEXTURE)
-    known = view.known * view.border * (view.clipped < 0.5)
-    sky = np.arange(camera.height)[:, None] < camera.center_px[1]
-    for side in (sky, ~sky):  # a mean of 1 on either side of the horizon
-        weight = (known + 1e-3) * side
-        mean = _blurred(np.exp(detail) * weight[..., None], LOW_RAD * camera.focal_px)
-        total = _blurred(weight, LOW_RAD * camera.focal_px)[..., None]
-        even = np.log(mean.clip(1e-9) / total.clip(1e-9))
-        detail = np.where(side[..., None], detail - even, detail)
-    own = PATCH_SHARE * min(known.shape) / camera.focal_px
-    focal = camera.focal_px * math.tan(min(own, PATCH_RAD)) / math.tan(PATCH_RAD)
-    side = 2 * round(focal * PATCH_RAD / 2) + 1
-    around = cv2.blur(known, (side, side), borderType=cv2.BORDER_CONSTANT)
-    directions = DirectionGrid.latlong(*layout).directions.numpy()
-    total, squares = np.zeros((len(directions), 3)), np.zeros(len(directions))
-    rng, step = np.random.default_rng(0), math.pi / layout[0]
-    for centre in _evenly(round(PATCHES / math.sin(PATCH_RAD / 2) ** 2)):
-        x, y = _source(centre, around, camera, focal, rng)
-        zenith = math.acos(centre[1])  # rows that reach it
-        first = max(0, int((zenith - PATCH_RAD) / step)) * layout[1]
-        last = min(layout[0], int((zenith + PATCH_RAD) / step) + 2) * layout[1]
-        near = first + np.flatnonzero(directions[first:last] @ centre > math.cos(PATCH_RAD))
-        right = np.cross(centre, (0.0, 1.0, 0.0))
-        right /= np.linalg.norm(right)
-        towards = directions[near] / (directions[near] @ centre)[:, None]
-        along, up = towards @ right, towards @ np.cross(right, centre)
-        px = (x + focal * along * rng.choice((-1.0, 1.0)))[:, None]
-        py = (y - focal * up)[:, None]
-        weight = _smooth(1.0 - np.hypot(along, up) / math.tan(PATCH_RAD)) ** 2
-        weight = weight * _looked_up(known, px, py)[:, 0]
-        weight = weight * (np.abs(px[:, 0] - camera.width / 2) < camera.width / 2)
-        weight = weight * (np.abs(py[:, 0] - camera.height / 2) < camera.height / 2)
-        above = np.sign(directions[near, 1])  # nothing of the ground into the sky
-        weight = weight * (above * (py[:, 0] - camera.center_px[1]) < 1)
-        total[near] += weight[:, None] * _looked_up(detail, px, py)[:, 0]
-        squares[near] += weight**2
-    texture = total / np.maximum(np.sqrt(squares), 0.1)[:, None]
-    level = 1 - directions[:, 1:2] ** 2
-    return (texture * (FAINTEST + (1 - FAINTEST) * level)).reshape(*layout, 3)
+    camera, known = view.camera, view.known * view.border * (view.clipped < 0.5)
+    sigma, weight = TEXTURE_RAD * camera.focal_px, (known + 1e-6)[..., None]
+    mean = _blurred(ratio * weight, sigma) / _blurred(weight[..., 0], sigma)[..., None]
+    known = known * _smooth(2 * _blurred(known, sigma) - 0.5)  # it fades towards people
+    detail = known[..., None] * MOST_TEXTURE * np.tanh((ratio - mean) / MOST_TEXTURE)
+    left, top, right, bottom = (
+        math.atan(pixels / camera.focal_px)
+        for pixels in (
+            -camera.center_px[0],
+            camera.center_px[1],
+            camera.width - camera.center_px[0],
+            camera.center_px[1] - camera.height,
+        )
+    )
+    width = right - left
+    rest = math.tau - width
+    views = max(2 * round((rest / (ENLARGED * width) - 1) / 2) + 1, 1)
+    smaller = views * width / rest
+    azimuth, zenith = angles_from_direction(DirectionGrid.latlong(*layout).directions)
+    azimuth, height = azimuth.numpy(), math.pi / 2 - zenith.numpy()
+    aside = (azimuth - right).clip(0) - (left - azimuth).clip(0)  # beyond the edges
+    unfolded = azimuth - (1 - smaller) * aside - left
+    azimuth = left + width - abs(unfolded % (2 * width) - width)
+    above, below = (height - top).clip(0), (bottom - height).clip(0)
+    folded = np.where(above > 0, (top - smaller * above).clip(min(top, 0.0)), height)
+    folded = np.where(below > 0, (bottom + smaller * below).clip(max=max(bottom, 0.0)), folded)
+    towards = direction_from_angles(
+        torch.from_numpy(azimuth), torch.from_numpy(math.pi / 2 - folded)
+    )
+    faded = _smooth(1 - (above + below) / FADE_RAD).reshape(layout)
+    return faded[..., None] * Sampling.of_view(view, towards.reshape(*layout, 3))(detail)
 
 
-def _evenly(count: int) -> Float[ndarray, "n 3"]:
-    """So many directions, evenly spread: a spiral by the golden angle."""
-    y = 1 - (2 * np.arange(count) + 1) / count
-    azimuth = np.arange(count) * math.pi * (3 - math.sqrt(5))
-    level = np.sqrt(1 - y**2)
-    return np.stack([level * np.sin(azimuth), y, level * np.cos(azimuth)], 1)
-
-
-def _source(
-    centre: Float[ndarray, "3"],
-    around: Float[ndarray, "h w"],
-    camera: Camera,
-    focal: float,
-    rng: np.random.Generator,
-) -> tuple[float, float]:
-    """Where in the view a patch is taken from: at its height if the view has that, and of some
-    places the one with most background."""
-    horizon, half = camera.center_px[1], focal * PATCH_RAD / 2
-    height = math.tan(math.asin(min(max(centre[1], -0.99), 0.99)))
-    x = rng.uniform(0, camera.width, 16)
-    y = np.full(16, horizon - focal * height)
-    if height > 0 and y[0] < half:
-        y = rng.uniform(min(half, horizon), max(half, horizon / 2), 16)
-    elif height < 0 and y[0] > camera.height - half:
-        y = rng.uniform(min(horizon, camera.height - half), camera.height - half, 16)
-    rows = y.clip(0, camera.height - 1).astype(int)
-    chances = around[rows, x.astype(int)] ** 2 + 1e-9
-    chosen = int(rng.choice(16, p=chances / chances.sum()))
-    return float(x[chosen]), float(y[chosen])
-
-
-def with_the_light_of(
+def gain_back_to(
     base: Float[ndarray, "h w 3"],
-    detailed: Float[ndarray, "h w 3"],
+    light: Float[ndarray, "h w 3"],
     free: Float[ndarray, "h w"],
-) -> tuple[Float[ndarray, "h w 3"], float]:
-    """``detailed exp(free sum_k c_k Y_k)`` with the low harmonics of ``base``, in each channel.
+    degree: int,
+) -> Float[ndarray, "h w 3"]:
+    """``1 + free (exp(sum_k c_k Y_k) - 1)``, by which ``light`` gets the harmonics of ``base``.
 
-    The c minimise ``sum_w dw detailed exp(free c Y) / free - c b``, b the harmonics of ``base``:
-    convex, solved by Newton's method on :data:`SOLVED_ROWS` rows, to whose means the gradient is
-    exact. The second is the largest ``|c Y|`` where the map is free.
+    Of even degrees and 1, to ``degree``: all that irradiance depends on. The c minimise
+    ``sum_w dw light (free exp(c Y) + (1 - free) c Y) - c b``, b the harmonics of ``base``: convex,
+    solved by Newton's method on :data:`SOLVED_ROWS` rows.
     """
     grid = DirectionGrid.latlong(SOLVED_ROWS)
     weight = grid.solid_angles.numpy()[:, None]
-    wanted = [index for degree in (0, 1, 2, 4, 6) for index in range(degree**2, (degree + 1) ** 2)]
-    basis = harmonics.evaluate(grid.directions, 6)[:, wanted].numpy().astype(np.float64)
-
-    def coarse(picture: Float[ndarray, "h w c"]) -> Float[ndarray, "n c"]:
-        whole = torch.from_numpy(np.ascontiguousarray(picture))
-        return averaged(whole, SOLVED_ROWS).reshape(-1, picture.shape[2]).numpy()
-
-    held, goal = coarse(detailed * (1 - free[..., None])), basis.T @ (weight * coarse(base))
-    moved = coarse(detailed * free[..., None])
-    factors, most = np.zeros((basis.shape[1], 3)), 0.0
+    wanted = [index for n in (0, 1, 2, 4) if n <= degree for index in range(n**2, (n + 1) ** 2)]
+    basis = harmonics.evaluate(grid.directions, degree)[:, wanted].numpy().astype(np.float64)
+    moved = light * free[..., None]
+    goal, after = (
+        weight * averaged(torch.from_numpy(each), SOLVED_ROWS).reshape(-1, 3).numpy()
+        for each in (base - light + moved, moved)
+    )
+    goal, whole = basis.T @ goal, math.sqrt(4 * math.pi) * base.mean()
+    factors = np.zeros((basis.shape[1], 3))
     for channel in range(3):
         c = factors[:, channel]
         for _ in range(30):
-            now = weight[:, 0] * moved[:, channel] * np.exp((basis @ c).clip(-5, 5))
-            gap = basis.T @ (now + weight[:, 0] * held[:, channel]) - goal[:, channel]
-            if np.abs(gap).max() < 1e-6 * goal[0, channel]:
+            now = after[:, channel] * np.exp((basis @ c).clip(-5, 5))
+            gap = basis.T @ now - goal[:, channel]
+            if np.abs(gap).max() < 1e-6 * whole:
                 break
             hessian = basis.T @ (now[:, None] * basis)
             hessian += 1e-9 * np.trace(hessian) * np.eye(len(c))
             step = np.linalg.solve(hessian, gap)
             c -= step * min(1.0, 1.0 / max(np.abs(basis @ step).max(), 1e-12))
-        most = max(most, float(np.abs(basis @ c)[moved[:, channel] > 0].max(initial=0.0)))
-    rows, columns = base.shape[:2]
-    directions = DirectionGrid.latlong(rows, columns).directions
-    field = harmonics.evaluate(directions, 6)[:, wanted].numpy() @ factors
-    gain = np.exp(field.clip(-5, 5)).reshape(base.shape)
-    return detailed * (1 + free[..., None] * (gain - 1)), most
+    directions = DirectionGrid.latlong(*base.shape[:2]).directions
+    field = harmonics.evaluate(directions, degree)[:, wanted].numpy() @ factors
+    return 1 + free[..., None] * (np.exp(field.reshape(base.shape).clip(-5, 5)) - 1)
 
 
 def _shrunk(picture: Float[ndarray, "h w *c"], size: tuple[int, int]) -> Float[ndarray, "p q *c"]:
