@@ -33,6 +33,7 @@ from skylight.inverse._posterior import credible, face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
 from skylight.inverse._result import MAP_ROWS, SUN_SPREAD_RAD, Estimate, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
+from skylight.inverse._scores import CAP_RAD, find_lamps
 from skylight.inverse._sky import SkySolver, SolverOptions
 from skylight.inverse._solution import Solutions, estimate_of, face_lights, log_evidence
 from skylight.inverse._sun_prior import SunPrior
@@ -427,7 +428,7 @@ class LampsProblem(LightProblem):
             lights,
             solutions.search(0, scan),
             evidence,
-            sun=lamps[0].direction if lamps else None,
+            sun=self._main_light(environment, lamps),
             albedo_prior=objective.tone_prior,
             reflects=self.faces[0].scanned.specular is not None,
             sun_prior=self.faces.sun_prior,
@@ -435,6 +436,20 @@ class LampsProblem(LightProblem):
             seen=None if self.family.smooth else bool(lamps),
             kinds=kinds,
         )
+
+    def _main_light(
+        self, environment: EnvironmentMap, lamps: Sequence[Lamp]
+    ) -> Float[Tensor, "3"] | None:
+        """Where the strongest lamp is, or what the ``smooth`` light has that is stronger."""
+        if not lamps or not self.family.smooth:
+            return lamps[0].direction if lamps else None
+        nearest = [lamp.direction for lamp in lamps]
+        for found in find_lamps(environment, most=1, least_share=0.0):
+            cosines = torch.stack(nearest) @ found.direction
+            if float(cosines.max()) > math.cos(CAP_RAD):
+                return nearest[int(cosines.argmax())]
+            return found.direction.double()
+        return nearest[0]
 
     def _descend(
         self,

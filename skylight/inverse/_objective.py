@@ -421,9 +421,8 @@ class LightObjective:
 
         Of concave costs, where faces are ``off`` by that much: the tangent, which lies above.
         """
-        more = self.scale_of_noise(off, problem).unbind(1)
-        each = [share / by[:, None] for share, by in zip(self._shares(problem), more, strict=True)]
-        return self.weights.independent / self.weights.noise * torch.cat(each, 1)
+        each = torch.cat(self._shares(problem), 1) * (self.weights.independent / self.weights.noise)
+        return each / self.of_pixels(self.scale_of_noise(off, problem), problem)
 
     def scale_of_noise(
         self, off: Float[Tensor, "b _"], problem: Int[Tensor, " b"] | None = None
@@ -436,6 +435,13 @@ class LightObjective:
         each = zip(of_faces, shares, strict=True)
         means = torch.stack([(charbonnier(r) * share).sum(1) for r, share in each], 1)
         return (means / self.weights.noise).clamp(min=1)
+
+    def of_pixels(
+        self, of_faces: Float[Tensor, "b f"], problem: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, "b m"]:
+        """What each face has, for each of its pixels and channels."""
+        each = zip(of_faces.unbind(1), self._shares(problem), strict=True)
+        return torch.cat([one[:, None].expand(-1, share.shape[1]) for one, share in each], 1)
 
     def _shares(self, problem: Int[Tensor, " b"] | None) -> list[Float[Tensor, "#b _"]]:
         """The weight of each face's pixels and channels."""

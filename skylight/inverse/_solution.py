@@ -57,10 +57,11 @@ def log_evidence(
 
 @dataclass(frozen=True, kw_only=True)
 class _Minimum:
-    """Minima with their deviations and the curvature there.
+    """Minima with their deviations, of each face relative to how far it is off, and the curvature.
 
-    Of backgrounds that is the curvature of the quadratic that lies above their cost, which is up to
-    a half too large: spreads that a background makes small are so by up to a fifth.
+    Of concave costs (backgrounds, faces of unknown noise) that is the curvature of the quadratic
+    that lies above them, of a background up to a half too large: spreads that one makes small are
+    so by up to a fifth.
     """
 
     objective: LightObjective
@@ -77,12 +78,13 @@ class _Minimum:
     ) -> "_Minimum":
         off, behind = deviations_apart(objective, free, problem)
         change = jacobian(objective, free, problem)
-        weights = objective.deviation_weights(off, problem)
-        seen = off.shape[1]
+        scales = objective.scale_of_noise(off, problem)
+        scale, seen = objective.of_pixels(scales, problem), off.shape[1]
+        weights = objective.deviation_weights(off, problem) * scale
         # what concave costs are above their tangents
-        more = objective.scale_of_noise(off, problem).log().sum(1) * objective.weights.independent
+        more = scales.log().sum(1) * objective.weights.independent
         _, of_priors = objective.prior_shape(free, problem, clock=False)
-        hessian = hessian_at(off, change[:, :seen], weights, of_priors)
+        hessian = hessian_at(off / scale, change[:, :seen] / scale[:, :, None], weights, of_priors)
         if behind:
             rows, along = torch.cat(list(behind.values()), 1), change[:, seen:]
             counted = objective.background_weights(behind) / charbonnier(rows)
@@ -92,7 +94,7 @@ class _Minimum:
             objective=objective,
             free=free,
             problem=problem,
-            deviations=off,
+            deviations=off / scale,
             more=more,
             weights=weights,
             hessian=hessian,

@@ -25,6 +25,9 @@ from skylight.models._sphere import Places, SphereLight, SpherePrior, shipped
 CAMERA_DIRECTION = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)  # from the face
 INDOORS, OPEN_SKY = ("home", "workplace", "studio", "car"), ("outdoors", "street")
 RULED_OUT: dict[Place, tuple[str, ...]] = {"outdoors": INDOORS, "indoors": OPEN_SKY}
+# Of streets, which are simulated at night, where "outdoors" is all that is known: few people are
+# photographed there, and a face in even light does not tell
+NIGHT_LOG_ODDS = -3.0
 # Nats of evidence that one more lamp is to bring, set by six rendered people in simulated places:
 # what light is like, the prior knows; what heads are wrong by, it does not
 LEAST_GAIN = 8.0
@@ -59,6 +62,8 @@ def sphere_problem(
     places = places or shipped()
     known = {"outdoors": open_sky_log_odds(exposure)}
     known |= dict.fromkeys(RULED_OUT.get(place, ()), -math.inf)
+    if place == "outdoors":
+        known["street"] = NIGHT_LOG_ODDS
     log_odds = {kind: odds for kind, odds in known.items() if kind in places.kinds}
     family = LampFamily(
         light=partial(SphereLight, places=places),
