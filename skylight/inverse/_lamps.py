@@ -107,7 +107,7 @@ class Pursuit:
     def starts(self, model: LampedLight, count: int) -> Float[Tensor, "s c p"]:
         """Parameters to start from: in each of so many of the best sets of the model's number."""
         if model.count == 0:
-            return model.starts()[:, None]
+            return model.starts().unflatten(0, (-1, len(model.ambient_starts())))
         while self.sets.shape[1] < model.count:
             self.grow()
         sets = self.best(count)
@@ -287,6 +287,8 @@ class LampFamily:
 
     ``least_gain`` and ``patience`` are those of :func:`as_many_as_pay`. Where the ``smooth`` light
     may be as uneven as lamps are, a main light may be seen though there is no lamp.
+    ``apart`` makes groups of candidates (s,c,p) that are searched each by itself: the likeliest of
+    what they lead to is chosen.
     """
 
     light: Callable[[int], LampedLight]
@@ -294,6 +296,7 @@ class LampFamily:
     least_gain: float = LEAST_GAIN
     patience: int = 1
     smooth: bool = False
+    apart: Callable[[Tensor], Sequence[Tensor]] = lambda candidates: [candidates]
 
 
 LAMPS = LampFamily(light=LampsLight, prior=LampsPrior)
@@ -391,18 +394,21 @@ class LampsProblem(LightProblem):
                 scanned = [model.starts_towards(each).to(towards) for each in tried]
                 towards = torch.cat([towards, *scanned])
             turns = model.azimuth_index is not None  # to where the sets are, as starts are not
-            chosen = choose_starts(objective, towards, self.albedo_modes, centroids=not turns)
-            points = Iterates.starting(*chosen)
-            for stage in options.coarse:
-                objective, points = self._descend(count, points, [stage])
-                told = _sun_log_density(objective, points, clock)
-                best = (points.scores - told).argmin()
-                drawn = points.scores - options.weights.sun_prior * told
-                # what the evidence is that of goes on too
-                points = replace(points, scores=drawn.index_fill(0, best, drawn.min()))
-            points = replace(points, scores=drawn)
-            nats = log_evidence(objective, points.free[best, None]) + told[best]
-            return Fitted(count=count, point=points, log_evidence=float(nats))
+            found: list[Fitted[Iterates]] = []
+            for some in self.family.apart(towards):
+                chosen = choose_starts(objective, some, self.albedo_modes, centroids=not turns)
+                points = Iterates.starting(*chosen)
+                for stage in options.coarse:
+                    at, points = self._descend(count, points, [stage])
+                    told = _sun_log_density(at, points, clock)
+                    best = (points.scores - told).argmin()
+                    drawn = points.scores - options.weights.sun_prior * told
+                    # what the evidence is that of goes on too
+                    points = replace(points, scores=drawn.index_fill(0, best, drawn.min()))
+                points = replace(points, scores=drawn)
+                nats = log_evidence(at, points.free[best, None]) + told[best]
+                found.append(Fitted(count=count, point=points, log_evidence=float(nats)))
+            return max(found, key=lambda one: one.log_evidence)
 
         if self.exactly is None:
             best = as_many_as_pay(fitted, self.family.least_gain, self.family.patience)

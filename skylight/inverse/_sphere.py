@@ -33,7 +33,7 @@ NIGHT_LOG_ODDS = -3.0
 LEAST_GAIN = 8.0
 # There are many latents, so what is coarse is coarse in light too
 COARSE = (
-    Stage(level=Level(2, light=1), starts=10, iterations=6, even_skin=True, steps="broyden"),
+    Stage(level=Level(2, light=1), starts=5, iterations=6, even_skin=True, steps="broyden"),
     Stage(level=Level(1, light=1), starts=3, iterations=8, even_skin=True, steps="broyden"),
 )
 FINE = (
@@ -71,6 +71,7 @@ def sphere_problem(
         least_gain=LEAST_GAIN,
         patience=2,
         smooth=True,
+        apart=partial(_by_sky, places),
     )
     weights = replace(options.weights, noise_of_face=True)
     efforts = replace(options, coarse=COARSE, fine=FINE, weights=weights)
@@ -92,6 +93,18 @@ def _under_open_sky(prior: SpherePrior) -> float:
     """How likely that is beforehand; at night clocks tell nothing."""
     mine = torch.tensor([kind in OPEN_SKY for kind in prior.kinds])[prior.kind]
     return float(prior.log_weights[mine].exp().sum())
+
+
+def _by_sky(places: Places, candidates: Float[Tensor, "s c p"]) -> list[Float[Tensor, "s _ p"]]:
+    """Those of places under the open sky, and of others.
+
+    What fits best to begin with are rooms, which are of all kinds: it is not what is likeliest in
+    the end. Of each set of lamps there are as many candidates for each component.
+    """
+    is_open = torch.tensor([kind in OPEN_SKY for kind in places.kinds])[places.kind]
+    mine = is_open.repeat_interleave(candidates.shape[1] // len(is_open))
+    groups = [candidates[:, mine], candidates[:, ~mine]]
+    return [each for each in groups if each.shape[1]]
 
 
 def towards_of(place: Place) -> Float[Tensor, "1 3"] | None:

@@ -8,8 +8,8 @@ import torch
 
 from skylight.inverse._estimate import estimate_light, light_problems
 from skylight.inverse._lamps import Fitted, LampsProblem, as_many_as_pay
-from skylight.inverse._sphere import INDOORS, OPEN_SKY
-from skylight.models._sphere import SpherePrior
+from skylight.inverse._sphere import INDOORS, OPEN_SKY, _by_sky
+from skylight.models._sphere import SphereLight, SpherePrior
 from skylight.sphere._frame import angle_between
 from tests.inverse.test_lamps import ONE, lit_ball
 
@@ -90,3 +90,20 @@ def test_two_faces_in_one_light_are_one_problem() -> None:
     assert len(twice.faces) == 2
     off = float(angle_between(twice.sun_direction, alone.sun_direction))
     assert math.degrees(off) < 3
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_places_under_the_open_sky_are_searched_by_themselves(count) -> None:
+    model, prior = SphereLight(count), SpherePrior(count)
+    if count == 0:
+        candidates = model.starts().unflatten(0, (-1, len(model.ambient_starts())))
+    else:
+        towards = torch.nn.functional.normalize(torch.ones(3, count, 3, dtype=torch.float64), dim=2)
+        candidates = model.starts_at(towards, torch.ones(3, count))
+    groups = _by_sky(model.places, candidates)
+    assert sum(each.shape[1] for each in groups) == candidates.shape[1]
+    for group, kinds in zip(groups, (OPEN_SKY, INDOORS), strict=True):
+        latents = group[..., : model.latents].flatten(0, 1)
+        off = (latents[:, None] - prior.means).norm(dim=2)
+        assert float(off.amin(1).max()) < 1e-3
+        assert {prior.kinds[int(k)] for k in prior.kind[off.argmin(1)]} == {*kinds}
