@@ -447,15 +447,14 @@ class LampsProblem(LightProblem):
         self, environment: EnvironmentMap, lamps: Sequence[Lamp]
     ) -> Float[Tensor, "3"] | None:
         """Where the strongest lamp is, or what the ``smooth`` light has that is stronger."""
-        if not lamps or not self.family.smooth:
-            return lamps[0].direction if lamps else None
-        nearest = [lamp.direction for lamp in lamps]
-        for found in find_lamps(environment, most=1, least_share=0.0):
-            cosines = torch.stack(nearest) @ found.direction
-            if float(cosines.max()) > math.cos(CAP_RAD):
-                return nearest[int(cosines.argmax())]
-            return found.direction.double()
-        return nearest[0]
+        if not lamps:
+            return None
+        of_map = find_lamps(environment, most=1, least_share=0.0) if self.family.smooth else []
+        if not of_map:
+            return lamps[0].direction
+        main = of_map[0].direction.double()
+        nearest = max(lamps, key=lambda lamp: float(lamp.direction @ main)).direction
+        return nearest if float(nearest @ main) > math.cos(CAP_RAD) else main
 
     def _descend(
         self,

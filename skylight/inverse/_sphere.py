@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skylight._names import Place
@@ -76,7 +76,8 @@ def sphere_problem(
     weights = replace(options.weights, noise_of_face=True)
     efforts = replace(options, coarse=COARSE, fine=FINE, weights=weights)
     if sun_prior is not None:
-        open_sky = _under_open_sky(SpherePrior(0, places, log_odds))
+        prior = SpherePrior(0, places, log_odds)
+        open_sky = float(prior.log_weights[_under_open_sky(prior)].exp().sum())
         sun_prior = sun_prior.anywhere(0.0 if place == "flash" else open_sky)
     return LampsProblem(
         albedo_prior,
@@ -89,10 +90,9 @@ def sphere_problem(
     )
 
 
-def _under_open_sky(prior: SpherePrior) -> float:
-    """How likely that is beforehand; at night clocks tell nothing."""
-    mine = torch.tensor([kind in OPEN_SKY for kind in prior.kinds])[prior.kind]
-    return float(prior.log_weights[mine].exp().sum())
+def _under_open_sky(places: Places | SpherePrior) -> Bool[Tensor, " m"]:
+    """Which components are of places there."""
+    return torch.tensor([kind in OPEN_SKY for kind in places.kinds])[places.kind]
 
 
 def _by_sky(places: Places, candidates: Float[Tensor, "s c p"]) -> list[Float[Tensor, "s _ p"]]:
@@ -101,7 +101,7 @@ def _by_sky(places: Places, candidates: Float[Tensor, "s c p"]) -> list[Float[Te
     What fits best to begin with are rooms, which are of all kinds: it is not what is likeliest in
     the end. Of each set of lamps there are as many candidates for each component.
     """
-    is_open = torch.tensor([kind in OPEN_SKY for kind in places.kinds])[places.kind]
+    is_open = _under_open_sky(places)
     mine = is_open.repeat_interleave(candidates.shape[1] // len(is_open))
     groups = [candidates[:, mine], candidates[:, ~mine]]
     return [each for each in groups if each.shape[1]]
