@@ -9,7 +9,7 @@ over blocks of some degrees; the camera is that of the fitted head, and level.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -47,6 +47,8 @@ FLAT_SHARE = 0.9  # of a small pixel is exactly even: drawn
 SAME_CODES = 6  # drawn parts of one colour differ by less
 SOFT_CODES = 25  # below white, beside what was white to the sensor
 SEAM_CODES, SEAM_SHARE = 16, 0.85  # a step of so much along so much of a line: a collage's seam
+# Plants fill so much of what stands behind people in gardens, seldom in rooms; a sky its upper half
+SEEN_SHARE, GREEN, LEAFY, SKY = 0.25, 0.05, 0.4, 1.0
 _LEAST = 1e-4  # of radiance against the face's, before logarithms
 
 
@@ -124,7 +126,28 @@ class BackgroundPixels:
         contrast = float(np.log(bright).std())
         if max(contrast, *(np.log(light[:, [0, 2]] / light[:, 1:2]).std(0))) < PLAIN:
             raise InputError("it is of one colour, as a backdrop or a screen is")
-        return _in_blocks(self, contrast, grid_height)
+        upper = np.nonzero(self.usable)[0] < len(self.usable) / 2
+        outdoors = _outdoors(self.picture[self.usable], bright, upper, contrast)
+        return replace(_in_blocks(self, contrast, grid_height), outdoors=outdoors)
+
+
+def _outdoors(
+    picture: Float[ndarray, "u 3"],
+    bright: Float[ndarray, " u"],
+    upper: Bool[ndarray, " u"],
+    contrast: float,
+) -> bool:
+    """Whether linear pixels, so ``bright`` relative to the face, show plants or a blue sky, by day.
+
+    Plants are green by the excess green index ``2 g - r - b`` of sRGB chromaticities (Woebbecke et
+    al. 1995), and uneven. A painted wall behind other things is taken for them.
+    """
+    codes = linear_to_srgb(torch.from_numpy(picture).clamp(0, 1)).numpy()
+    red, green, blue = (codes / np.maximum(codes.sum(1, keepdims=True), 1e-6)).T
+    plants = (2 * green - red - blue > GREEN) & (bright > BLACK) & (contrast > LEAFY)
+    sky = (blue > 1.05 * green) & (green > red) & (bright > SKY)
+    shares = plants.mean(), sky[upper].mean() if upper.any() else 0.0
+    return bool(max(shares) > SEEN_SHARE)
 
 
 def _in_blocks(pixels: BackgroundPixels, contrast: float, grid_height: int) -> Background:

@@ -182,14 +182,15 @@ def as_many_as_pay(
     fitted: Callable[[int], Fitted[Point]],
     least_gain: float = LEAST_GAIN,
     patience: int = 1,
+    most: int = MOST_LAMPS,
 ) -> Fitted[Point]:
     """No lamp, and one more as long as that brings ``least_gain`` of log evidence.
 
-    ``fitted`` is asked for numbers of lamps in ascending order, up to :data:`MOST_LAMPS`, until
+    ``fitted`` is asked for numbers of lamps in ascending order, up to the ``most``, until
     ``patience`` of them in a row did not pay: of two windows neither may pay alone.
     """
     best, waited = fitted(0), 0
-    for count in range(1, MOST_LAMPS + 1):
+    for count in range(1, most + 1):
         more = fitted(count)
         needed = least_gain * (more.count - best.count)
         if more.log_evidence >= best.log_evidence + needed:
@@ -285,7 +286,7 @@ def kinds_of_place(objective: LightObjective, params: Float[Tensor, " p"]) -> di
 class LampFamily:
     """Light models that differ by their number of lamps, and the prior of each.
 
-    ``least_gain`` and ``patience`` are those of :func:`as_many_as_pay`. Where the ``smooth`` light
+    ``least_gain``, ``patience`` and ``most`` are those of :func:`as_many_as_pay`. Where the ``smooth`` light
     may be as uneven as lamps are, a main light may be seen though there is no lamp.
     ``apart`` makes groups of candidates (s,c,p) that are searched each by itself: the likeliest of
     what they lead to is chosen.
@@ -295,6 +296,7 @@ class LampFamily:
     prior: Callable[[int], Prior | None]
     least_gain: float = LEAST_GAIN
     patience: int = 1
+    most: int = MOST_LAMPS
     smooth: bool = False
     apart: Callable[[Tensor], Sequence[Tensor]] = lambda candidates: [candidates]
 
@@ -310,7 +312,8 @@ class LampsProblem(LightProblem):
     computed on the device of ``albedo_modes``, where the prior has to be. There are as many lamps
     as pay, or ``exactly`` so many. ``towards`` are directions that one lamp is looked for in
     besides those of the scan. ``sun_prior`` is what clock and place tell of the main light
-    (:meth:`~skylight.inverse._sun_prior.SunPrior.anywhere`), ``ground`` the albedo below.
+    (:meth:`~skylight.inverse._sun_prior.SunPrior.anywhere`), ``ground`` the albedo below. Where
+    a photograph shows that it was taken ``outdoors``, by day, that family takes the other's place.
     """
 
     uses_background = True
@@ -325,8 +328,10 @@ class LampsProblem(LightProblem):
         towards: Float[Tensor, "d 3"] | None = None,
         sun_prior: SunPrior | None = None,
         ground: KnownGround | None = None,
+        outdoors: LampFamily | None = None,
     ) -> None:
         self.family, self.exactly, self.towards = family, exactly, towards
+        self.outdoors = outdoors
         self.albedo_prior, self.albedo_modes = albedo_prior, albedo_modes
         self.options = options or LampsOptions()
         self.faces, self.ground = LitFaces(sun_prior), ground
@@ -358,6 +363,8 @@ class LampsProblem(LightProblem):
 
     def add(self, observation: Observation, photo: int = 0) -> None:
         coarse = observation.on_rows(SCAN_HEIGHT)
+        if coarse.background is not None and coarse.background.outdoors:
+            self.family = self.outdoors or self.family
         device, levels = self.albedo_modes.device, self.options.levels
         self.faces.append(ScannedFace.of(coarse, photo, levels, device, sphere=True))
 
@@ -411,7 +418,8 @@ class LampsProblem(LightProblem):
             return max(found, key=lambda one: one.log_evidence)
 
         if self.exactly is None:
-            best = as_many_as_pay(fitted, self.family.least_gain, self.family.patience)
+            family = self.family
+            best = as_many_as_pay(fitted, family.least_gain, family.patience, family.most)
         else:
             best = fitted(self.exactly)
         objective, points = self._descend(best.count, best.point, options.fine, clock, progress)

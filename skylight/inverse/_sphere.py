@@ -5,6 +5,7 @@ As lamps in ambient light (:mod:`skylight.inverse._lamps`), with the light model
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -25,6 +26,8 @@ from skylight.models._sphere import Places, SphereLight, SpherePrior, shipped
 CAMERA_DIRECTION = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)  # from the face
 INDOORS, OPEN_SKY = ("home", "workplace", "studio", "car"), ("outdoors", "street")
 RULED_OUT: dict[Place, tuple[str, ...]] = {"outdoors": INDOORS, "indoors": OPEN_SKY}
+# Of what stands behind people, plants and skies are seen by day
+NOT_BY_DAY = (*INDOORS, "street")
 # Of streets, which are simulated at night, where "outdoors" is all that is known: few people are
 # photographed there, and a face in even light does not tell
 NIGHT_LOG_ODDS = -3.0
@@ -64,29 +67,36 @@ def sphere_problem(
     known |= dict.fromkeys(RULED_OUT.get(place, ()), -math.inf)
     if place == "outdoors":
         known["street"] = NIGHT_LOG_ODDS
-    log_odds = {kind: odds for kind, odds in known.items() if kind in places.kinds}
-    family = LampFamily(
-        light=partial(SphereLight, places=places),
-        prior=lambda lamps: SpherePrior(lamps, places, log_odds),
-        least_gain=LEAST_GAIN,
-        patience=2,
-        smooth=True,
-        apart=partial(_by_sky, places),
-    )
+
+    def family(log_odds: Mapping[str, float]) -> LampFamily:
+        of_these = {kind: odds for kind, odds in log_odds.items() if kind in places.kinds}
+        return LampFamily(
+            light=partial(SphereLight, places=places),
+            prior=lambda lamps: SpherePrior(lamps, places, of_these),
+            least_gain=LEAST_GAIN,
+            patience=2,
+            smooth=True,
+            apart=partial(_by_sky, places, of_these),
+        )
+
+    by_day = replace(family(known | dict.fromkeys(NOT_BY_DAY, -math.inf)), most=1)  # the sun
+    seen = place == "auto" and "outdoors" in places.kinds
     weights = replace(options.weights, noise_of_face=True)
     efforts = replace(options, coarse=COARSE, fine=FINE, weights=weights)
     if sun_prior is not None:
-        prior = SpherePrior(0, places, log_odds)
+        prior = family(known).prior(0)
+        assert isinstance(prior, SpherePrior)
         open_sky = float(prior.log_weights[_under_open_sky(prior)].exp().sum())
         sun_prior = sun_prior.anywhere(0.0 if place == "flash" else open_sky)
     return LampsProblem(
         albedo_prior,
         albedo_modes,
         efforts,
-        family,
+        family(known),
         towards=towards_of(place),
         sun_prior=sun_prior,
         ground=ground,
+        outdoors=by_day if seen else None,
     )
 
 
@@ -95,16 +105,19 @@ def _under_open_sky(places: Places | SpherePrior) -> Bool[Tensor, " m"]:
     return torch.tensor([kind in OPEN_SKY for kind in places.kinds])[places.kind]
 
 
-def _by_sky(places: Places, candidates: Float[Tensor, "s c p"]) -> list[Float[Tensor, "s _ p"]]:
-    """Those of places under the open sky, and of others.
+def _by_sky(
+    places: Places, log_odds: Mapping[str, float], candidates: Float[Tensor, "s c p"]
+) -> list[Float[Tensor, "s _ p"]]:
+    """Those of places under the open sky, and of others, without what is ruled out.
 
     What fits best to begin with are rooms, which are of all kinds: it is not what is likeliest in
     the end. Of each set of lamps there are as many candidates for each component.
     """
-    is_open = _under_open_sky(places)
-    mine = is_open.repeat_interleave(candidates.shape[1] // len(is_open))
-    groups = [candidates[:, mine], candidates[:, ~mine]]
-    return [each for each in groups if each.shape[1]]
+    possible = torch.tensor([log_odds.get(kind, 0.0) > -math.inf for kind in places.kinds])
+    is_open, possible = _under_open_sky(places), possible[places.kind]
+    each = candidates.shape[1] // len(is_open)
+    groups = [is_open & possible, ~is_open & possible]
+    return [candidates[:, mine.repeat_interleave(each)] for mine in groups if mine.any()]
 
 
 def towards_of(place: Place) -> Float[Tensor, "1 3"] | None:

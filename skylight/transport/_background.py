@@ -19,12 +19,14 @@ class Background:
     photograph's exposure and white balance. ``clipped`` (k,) tells where ``radiance`` is a lower
     bound, because some of the block is over-exposed. ``contrast`` is the standard deviation of the
     log luminance of all its pixels: what is even may be a backdrop, of any brightness and colour.
+    ``outdoors``: it shows plants or a sky, by day.
     """
 
     radiance: Float[Tensor, "k 3"]
     averages: TransportMatrix
     clipped: Bool[Tensor, " k"]
     contrast: float
+    outdoors: bool = False
 
     def __post_init__(self) -> None:
         count = len(self.radiance)

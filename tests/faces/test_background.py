@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.faces._background import BackgroundPixels, _in_blocks
+from skylight.faces._background import BackgroundPixels, _in_blocks, _outdoors
 from skylight.imaging._colour import linear_to_srgb, srgb_to_linear
 from skylight.sphere._frame import pixel_from_direction
 from skylight.transport._cameras import Camera
@@ -225,3 +225,28 @@ def test_a_face_that_fills_the_picture_has_none():
     linear, clipped, *_ = photographed(lively())
     with pytest.raises(InputError, match="too little"):
         BackgroundPixels.of(linear, clipped, [fit], hair)
+
+
+@pytest.mark.parametrize(
+    ("colour", "contrast", "relative", "expected"),
+    [
+        ((0.1, 0.2, 0.05), 0.8, 1.0, True),  # leaves
+        ((0.1, 0.2, 0.05), 0.1, 1.0, False),  # a green wall
+        ((0.1, 0.2, 0.05), 0.8, 0.01, False),  # what is nearly black is of any colour
+        ((0.2, 0.2, 0.2), 0.8, 1.0, False),
+        ((0.4, 0.2, 0.1), 0.8, 1.0, False),  # wood
+        ((0.3, 0.45, 0.8), 0.3, 2.0, True),  # a sky
+        ((0.3, 0.45, 0.8), 0.3, 0.5, False),  # a blue wall in the shade
+    ],
+)
+@pytest.mark.parametrize("exposure", [0.3, 1.0])
+def test_plants_and_a_bright_blue_above_are_outdoors(
+    colour, contrast, relative, expected, exposure
+) -> None:
+    picture = np.tile(exposure * np.array(colour), (100, 1))
+    bright, upper = np.full(100, relative), np.arange(100) < 50
+    assert _outdoors(picture, bright, upper, contrast) == expected
+    # so they are where they fill a part of the picture only
+    picture[:60:2], bright[:60:2] = 0.2 * exposure, 1.0
+    assert _outdoors(picture, bright, upper, contrast) == expected
+    assert not _outdoors(np.where(upper[:, None], 0.2, picture), bright, upper, 0.3)

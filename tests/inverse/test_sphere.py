@@ -10,7 +10,9 @@ from skylight.inverse._estimate import estimate_light, light_problems
 from skylight.inverse._lamps import Fitted, LampsProblem, as_many_as_pay
 from skylight.inverse._sphere import INDOORS, OPEN_SKY, _by_sky
 from skylight.models._sphere import SphereLight, SpherePrior
-from skylight.sphere._frame import angle_between
+from skylight.sphere._frame import DirectionGrid, angle_between
+from skylight.transport._background import Background
+from skylight.transport._matrix import TransportMatrix
 from tests.inverse.test_lamps import ONE, lit_ball
 
 
@@ -100,10 +102,33 @@ def test_places_under_the_open_sky_are_searched_by_themselves(count) -> None:
     else:
         towards = torch.nn.functional.normalize(torch.ones(3, count, 3, dtype=torch.float64), dim=2)
         candidates = model.starts_at(towards, torch.ones(3, count))
-    groups = _by_sky(model.places, candidates)
+    groups = _by_sky(model.places, {}, candidates)
     assert sum(each.shape[1] for each in groups) == candidates.shape[1]
     for group, kinds in zip(groups, (OPEN_SKY, INDOORS), strict=True):
         latents = group[..., : model.latents].flatten(0, 1)
         off = (latents[:, None] - prior.means).norm(dim=2)
         assert float(off.amin(1).max()) < 1e-3
         assert {prior.kinds[int(k)] for k in prior.kind[off.argmin(1)]} == {*kinds}
+    (group,) = _by_sky(model.places, dict.fromkeys(INDOORS, -math.inf), candidates)
+    assert torch.equal(group, groups[0])
+
+
+def test_plants_behind_a_face_are_outdoors_by_day_unless_the_place_is_known() -> None:
+    seen = lit_ball((ONE, 3.0))
+    averages = TransportMatrix(matrix=torch.ones(1, 2048) / 2048, grid=DirectionGrid.latlong(32))
+    behind = Background(
+        radiance=torch.ones(1, 3),
+        averages=averages,
+        clipped=torch.zeros(1, dtype=torch.bool),
+        contrast=1.0,
+        outdoors=True,
+    )
+    for place, kinds in (("auto", {"outdoors"}), ("indoors", {*INDOORS})):
+        (problem,) = light_problems("sphere", place=place, device="cpu")
+        empty = problem.another()
+        problem.add(replace(seen, background=behind))
+        prior = problem.family.prior(0)
+        shares = torch.zeros(len(prior.kinds)).index_add(0, prior.kind, prior.log_weights.exp())
+        assert {k for k, share in zip(prior.kinds, shares, strict=True) if share > 0} == kinds
+        assert (problem.family is empty.family) == (place != "auto")
+        assert problem.family.most == (1 if place == "auto" else 3)
