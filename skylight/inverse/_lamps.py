@@ -286,8 +286,8 @@ def kinds_of_place(objective: LightObjective, params: Float[Tensor, " p"]) -> di
 class LampFamily:
     """Light models that differ by their number of lamps, and the prior of each.
 
-    ``least_gain``, ``patience`` and ``most`` are those of :func:`as_many_as_pay`. Where the ``smooth`` light
-    may be as uneven as lamps are, a main light may be seen though there is no lamp.
+    ``least_gain``, ``patience`` and ``most`` are those of :func:`as_many_as_pay`. Where the
+    ``smooth`` light may be as uneven as lamps are, a main light may be seen though there is no lamp.
     ``apart`` makes groups of candidates (s,c,p) that are searched each by itself: the likeliest of
     what they lead to is chosen.
     """
