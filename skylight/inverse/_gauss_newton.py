@@ -124,7 +124,7 @@ def minimise_robust(
             dx, dr = step[better], tried[better] - r[good]
             missed = dr - (change[good] @ dx[:, :, None])[:, :, 0]
             along = dx / dx.square().sum(1, keepdim=True).clamp(min=1e-30)
-            change[good] += missed[:, :, None] * along[:, None]
+            change.index_add_(0, good, missed[:, :, None] * along[:, None])
             corrected[good] = True
             stale[bad] = moved[bad] = corrected[bad]
         else:

@@ -186,7 +186,8 @@ def as_many_as_pay(
     """No lamp, and one more as long as that brings ``least_gain`` of log evidence.
 
     ``fitted`` is asked for numbers of lamps in ascending order, up to :data:`MOST_LAMPS`, until
-    ``patience`` of them in a row did not pay: of two windows neither may pay alone.
+    ``patience`` of them in a row did not pay: of two windows neither may pay alone. One that is
+    less likely than without ends it.
     """
     best, waited = fitted(0), 0
     for count in range(1, MOST_LAMPS + 1):
@@ -194,10 +195,10 @@ def as_many_as_pay(
         needed = least_gain * (more.count - best.count)
         if more.log_evidence >= best.log_evidence + needed:
             best, waited = more, 0
+        elif more.log_evidence < best.log_evidence or waited + 1 == patience:
+            break
         else:
             waited += 1
-        if waited == patience:
-            break
     return best
 
 

@@ -434,13 +434,13 @@ class LightObjective:
 
     def _normal_precisions(self) -> Float[Tensor, " q"]:
         """Those of the :data:`NORMAL_PRIORS`, all about 0; of other unknowns 0."""
-        w, zero = self.weights, torch.zeros(1)
+        w, zero = self.weights, torch.zeros(1, dtype=torch.float64)
         spreads = [w.white_balance_spread] * 2 + [w.saturation_spread, w.contrast_spread]
-        camera = torch.cat([zero, torch.tensor([spread or 1.0 for spread in spreads]) ** -2])
+        camera = torch.cat([zero, zero.new_tensor([spread or 1.0 for spread in spreads]) ** -2])
         skin = [
             zero + SPECULAR_SPREAD**-2,
             zero.expand(3),
-            torch.full((self.turn_count,), TURN_STEP**2),
+            zero.new_full((self.turn_count,), TURN_STEP**2),
             (self.pigment_spreads.cpu() ** -2).expand(2, self.mode_count).flatten(),
         ]
         light, _, _, ground = self.sizes

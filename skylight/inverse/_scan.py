@@ -27,7 +27,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
@@ -114,6 +114,25 @@ class FaceScan:
     deviations: Float[Tensor, " m"]
     solution: Float[Tensor, "n_2 k"]
 
+    def rows(self, likeliest: int | None) -> Int[Tensor, " j"]:
+        """Those of the solution that are of so many directions that leave least, or of all."""
+        count = len(self.unexplained)
+        best = self.unexplained.argsort()[:likeliest].sort().values
+        return torch.cat([best, best.new_tensor([count, count + 1])])
+
+    def onto(self, before: "FaceScan", rows: Int[Tensor, " j"]) -> "FaceScan":
+        """A scan of all directions, of which this one is of those rows."""
+
+        def whole(name: str, rows: Int[Tensor, " j"]) -> Tensor:
+            return getattr(before, name).index_copy(0, rows, getattr(self, name))
+
+        return replace(
+            self,
+            unexplained=whole("unexplained", rows[:-2]),
+            strengths=whole("strengths", rows[:-2]),
+            solution=whole("solution", rows),
+        )
+
 
 def scan_faces(
     observations: Sequence[Observation],
@@ -121,6 +140,7 @@ def scan_faces(
     sphere: bool = False,
     at_once: int | None = None,
     before: "Sequence[FaceScan] | None" = None,
+    likeliest: int | None = None,
 ) -> list[FaceScan]:
     """Explain each face by a sun in each direction, and by ambient light alone.
 
@@ -130,7 +150,8 @@ def scan_faces(
     and all on other devices, which are idle otherwise.
 
     ``before``: scans of the same faces with other weights. Of faces whose normals may be wrong
-    they are as good a start as what explains them without, and take half the time.
+    they are as good a start as what explains them without, and take half the time. Then so many
+    of the ``likeliest`` directions may be scanned alone; the others stay as they were.
     """
     if at_once is None:
         on_cpu = observations[0].weights.device.type == "cpu"
@@ -139,8 +160,15 @@ def scan_faces(
     for begin in range(0, len(observations), at_once):
         some = slice(begin, begin + at_once)
         problems = [_SunProblem.of(one, sphere) for one in observations[some]]
-        starts = None if before is None else [scan.solution for scan in before[some]]
-        scans += [explained.scan() for explained in _explain(problems, starts)]
+        if before is None:
+            scans += [explained.scan() for explained in _explain(problems, None)]
+            continue
+        rows = [scan.rows(likeliest) for scan in before[some]]
+        among = [one.among(which) for one, which in zip(problems, rows, strict=True)]
+        starts = [scan.solution[which] for scan, which in zip(before[some], rows, strict=True)]
+        found = _explain(among, starts)
+        for scan, which, explained in zip(before[some], rows, found, strict=True):
+            scans.append(explained.scan().onto(scan, which))
     return scans
 
 
@@ -199,6 +227,16 @@ class _SunProblem:
             clipped=clipped,
             normals=_NormalErrors.of(observation, diffuse, lobes, sources),
         )
+
+    def among(self, rows: Int[Tensor, " j"]) -> "_SunProblem":
+        """That of some directions."""
+        if len(rows) == len(self.norms):
+            return self
+        normals = self.normals
+        if normals is not None:
+            there = normals.directions[rows]
+            normals = replace(normals, suns=normals.suns[rows], directions=there)
+        return replace(self, suns=self.suns[..., rows], norms=self.norms[rows], normals=normals)
 
     @property
     def unknowns(self) -> int:
