@@ -187,7 +187,7 @@ def as_many_as_pay(
 
     ``fitted`` is asked for numbers of lamps in ascending order, up to :data:`MOST_LAMPS`, until
     ``patience`` of them in a row did not pay: of two windows neither may pay alone. One that is
-    less likely than without ends it.
+    less likely than without by as much ends it.
     """
     best, waited = fitted(0), 0
     for count in range(1, MOST_LAMPS + 1):
@@ -195,7 +195,7 @@ def as_many_as_pay(
         needed = least_gain * (more.count - best.count)
         if more.log_evidence >= best.log_evidence + needed:
             best, waited = more, 0
-        elif more.log_evidence < best.log_evidence or waited + 1 == patience:
+        elif more.log_evidence < best.log_evidence - least_gain or waited + 1 == patience:
             break
         else:
             waited += 1
