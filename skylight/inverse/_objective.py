@@ -409,10 +409,10 @@ class LightObjective:
         light, _, skin, ground = unknowns.split(self.sizes)
         albedo = skin.unflatten(0, (len(self.faces), -1))[:, 1:4].flatten()
         told = self.below is not None or (clock and any(self.sun_priors))  # of the light, by others
-        curved = isinstance(own, CurvedPrior) and not told
-        if curved:
+        curved = own if isinstance(own, CurvedPrior) and not told else None
+        if curved is not None:
             without.append("light_prior")
-        bent = torch.cat([albedo, ground] if curved else [light, albedo, ground])
+        bent = torch.cat([albedo, ground] if curved is not None else [light, albedo, ground])
 
         def others(x: Tensor, rows: Tensor) -> Tensor:
             whole = free[rows].index_copy(1, bent, x)
@@ -423,8 +423,8 @@ class LightObjective:
         parts = [
             (bent, *convex_shape(others, free[:, bent], unknowns.new_tensor(range(len(free)))))
         ]
-        if curved:
-            first, second = own.convex_shape(without_azimuth(model, free[:, : len(light)]))
+        if curved is not None:
+            first, second = curved.convex_shape(without_azimuth(model, free[:, : len(light)]))
             weight = self.weights.light_prior
             parts.append((without_azimuth(model, light), weight * first, weight * second))
         for columns, first, second in parts:
