@@ -79,8 +79,10 @@ def jacobian(
     """Derivatives of the :func:`deviations`."""
     count, size = free.shape
     light, camera, skin, ground = torch.arange(size).split(objective.sizes)
-    lit, unlit = torch.cat([light, ground]), torch.cat([camera, skin])
     skin = skin.unflatten(0, (len(objective.faces), -1))
+    turning = skin[:, 4 : 4 + objective.turn_count]
+    even = torch.cat([skin[:, :4], skin[:, 4 + objective.turn_count :]], 1)
+    lit, unlit = torch.cat([light, ground]), torch.cat([camera, even.flatten()])
     parts = objective.unpack(free)
     source = objective.radiance(parts)
     skies, grounds = _light_slopes(objective, free, source)
@@ -109,7 +111,7 @@ def jacobian(
             turn = TURN_STEP * objective.weights.normal_spread
             change = torch.cat([change.add_(along["turned"]), turn * per_mode], 1)
             change *= (here.diffuse + here.turned > 0)[:, None]
-            columns = torch.cat([lit, skin[k, 4 : 4 + per_mode.shape[1]]])
+            columns = torch.cat([lit, turning[k, : per_mode.shape[1]]])
         change *= albedo
         if here.specular is not None:
             scale = parts.specular_scale[:, k, None, None, None]
@@ -120,7 +122,7 @@ def jacobian(
             if field is not None
         }
         shown = face.deviation(objective.reflected(moved, k, Transported(**fixed), each), each)
-        block = free.new_empty(count, shown[0].numel(), size)
+        block = free.new_zeros(count, shown[0].numel(), size)
         block[:, :, unlit] = between(shown.flatten(1))
 
         def seen(shading: Tensor, k: int = k) -> Tensor:
@@ -139,7 +141,7 @@ def jacobian(
             term.deviation(objective.camera_response(parts, photo, seen_behind + sign * change))
             for sign in (1, -1)
         )
-        whole = free.new_empty(count, block.shape[1], size)
+        whole = free.new_zeros(count, block.shape[1], size)
         whole[:, :, unlit] = block
         whole[:, :, lit] = ((ahead - behind) / (2 * step)).permute(1, 2, 0)
         blocks.append(whole)
@@ -240,11 +242,16 @@ class Iterates:
 def descend(
     objective: LightObjective, points: Sequence[Iterates], stage: Stage, tolerance: float
 ) -> list[Iterates]:
-    """The best of each problem's points, minimised as one batch."""
+    """The best of each problem's points, minimised as one batch.
+
+    Of one problem's objective, ``points`` are groups that each have their own best.
+    """
+    several = len(objective.faces[0].level) > 1
     best = [one.free[one.scores.argsort()[: stage.starts]] for one in points]
     starts = [objective.uneven(free) for free in best]
     sizes = [len(start) for start in starts]
-    problem = torch.cat([torch.full((n,), p) for p, n in enumerate(sizes)]).to(starts[0].device)
+    number = [torch.full((n,), p if several else 0) for p, n in enumerate(sizes)]
+    problem = torch.cat(number).to(starts[0].device)
     if stage.steps != "l-bfgs":
         result = minimise_robust(
             lambda x, rows: deviations(objective, x, problem[rows]),

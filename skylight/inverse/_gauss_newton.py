@@ -97,10 +97,10 @@ def minimise_robust(
         new = which[moved[which]]
         if len(new):
             slope, hessian = shape(x[new], new) if shape else convex_shape(prior, x[new], new)
-            curved = change[new] * (weights[new] / charbonnier(r[new]))[:, :, None]
-            slopes[new] = slope.double() + torch.einsum("bmp,bm->bp", curved, r[new]).double()
-            data = torch.einsum("bmp,bmq->bpq", change[new], curved).double()
-            hessians[new] = hessian.double() + data
+            along, off = change[new], r[new]
+            curved = along * (weights[new] / charbonnier(off))[:, :, None]
+            slopes[new] = slope.double() + (off[:, None] @ curved)[:, 0].double()
+            hessians[new] = hessian.double() + (along.mT @ curved).double()
             # a start where nothing is finite stays where it is
             usable = slopes[new].isfinite().all(1) & hessians[new].isfinite().all(2).all(1)
             moved[new], moving[new] = False, usable
@@ -124,7 +124,7 @@ def minimise_robust(
             dx, dr = step[better], tried[better] - r[good]
             missed = dr - (change[good] @ dx[:, :, None])[:, :, 0]
             along = dx / dx.square().sum(1, keepdim=True).clamp(min=1e-30)
-            change[good] += missed[:, :, None] * along[:, None]
+            change.index_add_(0, good, missed[:, :, None] * along[:, None])
             corrected[good] = True
             stale[bad] = moved[bad] = corrected[bad]
         else:

@@ -187,7 +187,8 @@ def as_many_as_pay(
     """No lamp, and one more as long as that brings ``least_gain`` of log evidence.
 
     ``fitted`` is asked for numbers of lamps in ascending order, up to the ``most``, until
-    ``patience`` of them in a row did not pay: of two windows neither may pay alone.
+    ``patience`` of them in a row did not pay: of two windows neither may pay alone. One that is
+    less likely than without by as much ends it.
     """
     best, waited = fitted(0), 0
     for count in range(1, most + 1):
@@ -195,10 +196,10 @@ def as_many_as_pay(
         needed = least_gain * (more.count - best.count)
         if more.log_evidence >= best.log_evidence + needed:
             best, waited = more, 0
+        elif more.log_evidence < best.log_evidence - least_gain or waited + 1 == patience:
+            break
         else:
             waited += 1
-        if waited == patience:
-            break
     return best
 
 
@@ -286,8 +287,8 @@ def kinds_of_place(objective: LightObjective, params: Float[Tensor, " p"]) -> di
 class LampFamily:
     """Light models that differ by their number of lamps, and the prior of each.
 
-    ``least_gain``, ``patience`` and ``most`` are those of :func:`as_many_as_pay`. Where the
-    ``smooth`` light may be as uneven as lamps are, a main light may be seen though there is no lamp.
+    ``least_gain``, ``patience`` and ``most`` are those of :func:`as_many_as_pay`. Where ``smooth``
+    light may be as uneven as lamps are, a main light may be seen though there is no lamp.
     ``apart`` makes groups of candidates (s,c,p) that are searched each by itself: the likeliest of
     what they lead to is chosen.
     """
@@ -392,7 +393,8 @@ class LampsProblem(LightProblem):
         pursuit = Pursuit(observed)
 
         def fitted(count: int) -> Fitted[Iterates]:
-            objective = self._objective(count, options.coarse[0], clock)
+            solver = self.with_lamps(count)
+            objective = self._objective(solver, options.coarse[0], clock)
             model = objective.model
             assert isinstance(model, LampedLight)
             towards = pursuit.starts(model, options.sets)
@@ -401,28 +403,42 @@ class LampsProblem(LightProblem):
                 scanned = [model.starts_towards(each).to(towards) for each in tried]
                 towards = torch.cat([towards, *scanned])
             turns = model.azimuth_index is not None  # to where the sets are, as starts are not
-            found: list[Fitted[Iterates]] = []
-            for some in self.family.apart(towards):
-                chosen = choose_starts(objective, some, self.albedo_modes, centroids=not turns)
-                points = Iterates.starting(*chosen)
-                for stage in options.coarse:
-                    at, points = self._descend(count, points, [stage])
-                    told = _sun_log_density(at, points, clock)
-                    best = (points.scores - told).argmin()
-                    drawn = points.scores - options.weights.sun_prior * told
-                    # what the evidence is that of goes on too
-                    points = replace(points, scores=drawn.index_fill(0, best, drawn.min()))
-                points = replace(points, scores=drawn)
-                nats = log_evidence(at, points.free[best, None]) + told[best]
-                found.append(Fitted(count=count, point=points, log_evidence=float(nats)))
-            return max(found, key=lambda one: one.log_evidence)
+            groups = [
+                Iterates.starting(
+                    *choose_starts(objective, some, self.albedo_modes, centroids=not turns)
+                )
+                for some in self.family.apart(towards)
+            ]
+            for stage in options.coarse:
+                objective = self._objective(solver, stage)
+                ends = descend(objective, groups, stage, options.tolerance)
+                told = [_sun_log_density(objective, one, clock) for one in ends]
+                best = [(one.scores - t).argmin() for one, t in zip(ends, told, strict=True)]
+                drawn = [
+                    replace(one, scores=one.scores - options.weights.sun_prior * t)
+                    for one, t in zip(ends, told, strict=True)
+                ]
+                # what the evidence is that of goes on too
+                groups = [
+                    replace(one, scores=one.scores.index_fill(0, at, one.scores.min()))
+                    for one, at in zip(drawn, best, strict=True)
+                ]
+            minima = [one.free[at] for one, at in zip(drawn, best, strict=True)]
+            nats = log_evidence(objective, torch.stack(minima))
+            nats = nats + torch.stack([t[at] for t, at in zip(told, best, strict=True)])
+            likeliest = int(nats.argmax())
+            return Fitted(count=count, point=drawn[likeliest], log_evidence=float(nats[likeliest]))
 
         if self.exactly is None:
             family = self.family
             best = as_many_as_pay(fitted, family.least_gain, family.patience, family.most)
         else:
             best = fitted(self.exactly)
-        objective, points = self._descend(best.count, best.point, options.fine, clock, progress)
+        solver, points = self.with_lamps(best.count), best.point
+        for number, stage in enumerate(options.fine, start=1):
+            objective = self._objective(solver, stage, clock)
+            (points,) = descend(objective, [points], stage, options.tolerance)
+            progress(number / len(options.fine))
         solutions = Solutions.of(objective, [points], evidence=True)
         params = solutions.parts.light[0].cpu()
         lights = face_lights(solutions, 0, self.faces, options.fine[-1].level)
@@ -464,24 +480,10 @@ class LampsProblem(LightProblem):
         nearest = max(lamps, key=lambda lamp: float(lamp.direction @ main)).direction
         return nearest if float(nearest @ main) > math.cos(CAP_RAD) else main
 
-    def _descend(
-        self,
-        count: int,
-        points: Iterates,
-        stages: Sequence[Stage],
-        clock: SunPrior | None = None,
-        progress: Progress | None = None,
-    ) -> tuple[LightObjective, Iterates]:
-        """The last stage's objective, and its points."""
-        for number, stage in enumerate(stages, start=1):
-            objective = self._objective(count, stage, clock)
-            (points,) = descend(objective, [points], stage, self.options.tolerance)
-            if progress is not None:
-                progress(number / len(stages))
-        return objective, points
-
-    def _objective(self, count: int, stage: Stage, clock: SunPrior | None = None) -> LightObjective:
-        return self.with_lamps(count).objective([self.faces], [clock], stage)
+    def _objective(
+        self, solver: SkySolver, stage: Stage, clock: SunPrior | None = None
+    ) -> LightObjective:
+        return solver.objective([self.faces], [clock], stage)
 
 
 @torch.no_grad()

@@ -36,6 +36,14 @@ from skylight.transport._reflection import shade_scenes
 # A free parameter of 1 is so many standard deviations of a turn: without, a turn's slope is so much
 # less than those of light and exposure that quasi-Newton steps do not reach it.
 TURN_STEP = 10.0
+# Quadratic in free parameters: -log of normal densities about 0
+NORMAL_PRIORS = (
+    "gloss_prior",
+    "white_balance_prior",
+    "edit_prior",
+    "pigment_prior",
+    "normal_prior",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -360,7 +368,7 @@ class LightObjective:
         light = without_azimuth(self.model, free[:, : self.model.parameter_count])
         skin = self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
         sun = None if "sun_prior" in without else self.sun_nll(parts.light, problem)
-        return {
+        every = {
             **({} if "light_prior" in without else self._light_nll(light)),
             "albedo_prior": -w.albedo_prior * skin.unflatten(0, (-1, len(self.faces))).sum(1),
             **self._ground_nll(parts),
@@ -371,6 +379,7 @@ class LightObjective:
             "normal_prior": 0.5 * parts.turns.square().sum((1, 2)),
             **({} if sun is None else {"sun_prior": sun}),
         }
+        return {name: nll for name, nll in every.items() if name not in without}
 
     def prior(
         self,
@@ -391,28 +400,53 @@ class LightObjective:
     ) -> tuple[Float[Tensor, "b q"], Float[Tensor, "b q q"]]:
         """Slope of the :meth:`prior`, and its Hessian without negative eigenvalues.
 
-        A light prior may offer its own. Without a ``clock``, that says nothing.
+        A light prior may offer its own; normal ones are known, the others are by differences.
+        Without a ``clock``, that says nothing.
         """
-        model, own, without = self.model, self.light_prior, [] if clock else ["sun_prior"]
-        light = free[:, :0]
+        model, own = self.model, self.light_prior
+        without = [*NORMAL_PRIORS, *([] if clock else ["sun_prior"])]
+        unknowns = torch.arange(self.size, device=free.device)
+        light, _, skin, ground = unknowns.split(self.sizes)
+        albedo = skin.unflatten(0, (len(self.faces), -1))[:, 1:4].flatten()
         told = self.below is not None or (clock and any(self.sun_priors))  # of the light, by others
-        if isinstance(own, CurvedPrior) and not told:
-            light = free[:, : model.parameter_count]
+        curved = own if isinstance(own, CurvedPrior) and not told else None
+        if curved is not None:
             without.append("light_prior")
+        bent = torch.cat([albedo, ground] if curved is not None else [light, albedo, ground])
 
         def others(x: Tensor, rows: Tensor) -> Tensor:
-            whole = torch.cat([light[rows], x], 1)
+            whole = free[rows].index_copy(1, bent, x)
             return self.prior(whole, None if problem is None else problem[rows], without=without)
 
-        count, rows = light.shape[1], torch.arange(len(free), device=free.device)
-        slope, hessian = convex_shape(others, free[:, count:], rows)
-        if isinstance(own, CurvedPrior) and count:
-            slope, hessian = pad(slope, (count, 0)), pad(hessian, (count, 0, count, 0))
-            columns = without_azimuth(model, torch.arange(count, device=free.device))
-            first, second = own.convex_shape(without_azimuth(model, light))
-            slope[:, columns] += self.weights.light_prior * first
-            hessian[:, columns[:, None], columns] += self.weights.light_prior * second
+        precisions = self._normal_precisions().to(free)
+        slope, hessian = free * precisions, torch.diag(precisions).repeat(len(free), 1, 1)
+        parts = [
+            (bent, *convex_shape(others, free[:, bent], unknowns.new_tensor(range(len(free)))))
+        ]
+        if curved is not None:
+            first, second = curved.convex_shape(without_azimuth(model, free[:, : len(light)]))
+            weight = self.weights.light_prior
+            parts.append((without_azimuth(model, light), weight * first, weight * second))
+        for columns, first, second in parts:
+            slope[:, columns] += first
+            hessian[:, columns[:, None], columns] += second
         return slope, hessian
+
+    def _normal_precisions(self) -> Float[Tensor, " q"]:
+        """Those of the :data:`NORMAL_PRIORS`, all about 0; of other unknowns 0."""
+        w, zero = self.weights, torch.zeros(1, dtype=torch.float64)
+        spreads = [w.white_balance_spread] * 2 + [w.saturation_spread, w.contrast_spread]
+        camera = torch.cat([zero, zero.new_tensor([spread or 1.0 for spread in spreads]) ** -2])
+        skin = [
+            zero + SPECULAR_SPREAD**-2,
+            zero.expand(3),
+            zero.new_full((self.turn_count,), TURN_STEP**2),
+            (self.pigment_spreads.cpu() ** -2).expand(2, self.mode_count).flatten(),
+        ]
+        light, _, _, ground = self.sizes
+        faces = torch.cat(skin).repeat(len(self.faces))
+        of_all = [zero.expand(light), camera.repeat(self.photo_count), faces, zero.expand(ground)]
+        return torch.cat(of_all)
 
     def deviation_weights(
         self, off: Float[Tensor, "b _"], problem: Int[Tensor, " b"] | None = None

@@ -61,6 +61,7 @@ DOUBT = 0.5  # clocks that are more likely wrong than right
 # of the upper hemisphere: 2.8 degrees, half the scan's cells; of the sphere: 5.6, the scan's own
 ROWS = 32
 REWEIGHTINGS = 2
+LIKELIEST = 256  # directions, among which the best one is after another reweighting
 LEAST_DEVIATION = 0.05  # of the face's mean: smaller ones do not count more
 CAMERA_SHARE = 0.97  # of the best sun's gain: one at the horizon ahead looks like a flash
 _NEIGHBOURS = 1.6  # cells, whose diagonal is 1.4 of their height
@@ -181,7 +182,7 @@ def face_evidence(
     seen = [luminance(one.pixels).double() for one in observations]
     means = [weight @ level for weight, level in zip(weights, seen, strict=True)]
     robust = weights
-    for _ in range(REWEIGHTINGS):
+    for left in reversed(range(REWEIGHTINGS)):
         robust = [
             weight / ((scan.deviations / mean).square() + LEAST_DEVIATION**2).sqrt()
             for weight, scan, mean in zip(weights, scans, means, strict=True)
@@ -193,6 +194,7 @@ def face_evidence(
             ],
             sphere=sphere,
             before=scans,
+            likeliest=LIKELIEST if left else None,  # the best is what weights are told by
         )
     energies = [
         weight @ (level / mean).square()

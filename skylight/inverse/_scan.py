@@ -27,7 +27,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
@@ -47,6 +47,7 @@ LIKELY = 4  # candidates where clock and place tell of the sun
 # deviation of 0.1 to one of 0.7 (11.2 with normals trusted); the median prefers 0.2 and less.
 NORMAL_COST = 0.2**2 / 250
 NORMAL_ROUNDS = 2
+FURTHER = 512  # directions that leave least, for which there are further rounds
 _BLOCK = 32  # directions at a time on a CPU, whose cache holds so many of pixels x modes
 
 
@@ -114,6 +115,25 @@ class FaceScan:
     deviations: Float[Tensor, " m"]
     solution: Float[Tensor, "n_2 k"]
 
+    def rows(self, likeliest: int | None) -> Int[Tensor, " j"]:
+        """Those of the solution that are of so many directions that leave least, or of all."""
+        count = len(self.unexplained)
+        best = self.unexplained.argsort()[:likeliest].sort().values
+        return torch.cat([best, best.new_tensor([count, count + 1])])
+
+    def onto(self, before: "FaceScan", rows: Int[Tensor, " j"]) -> "FaceScan":
+        """A scan of all directions, of which this one is of those rows."""
+
+        def whole(name: str, rows: Int[Tensor, " j"]) -> Tensor:
+            return getattr(before, name).index_copy(0, rows, getattr(self, name))
+
+        return replace(
+            self,
+            unexplained=whole("unexplained", rows[:-2]),
+            strengths=whole("strengths", rows[:-2]),
+            solution=whole("solution", rows),
+        )
+
 
 def scan_faces(
     observations: Sequence[Observation],
@@ -121,6 +141,7 @@ def scan_faces(
     sphere: bool = False,
     at_once: int | None = None,
     before: "Sequence[FaceScan] | None" = None,
+    likeliest: int | None = None,
 ) -> list[FaceScan]:
     """Explain each face by a sun in each direction, and by ambient light alone.
 
@@ -130,7 +151,8 @@ def scan_faces(
     and all on other devices, which are idle otherwise.
 
     ``before``: scans of the same faces with other weights. Of faces whose normals may be wrong
-    they are as good a start as what explains them without, and take half the time.
+    they are as good a start as what explains them without, and take half the time. Then so many
+    of the ``likeliest`` directions may be scanned alone; the others stay as they were.
     """
     if at_once is None:
         on_cpu = observations[0].weights.device.type == "cpu"
@@ -139,8 +161,15 @@ def scan_faces(
     for begin in range(0, len(observations), at_once):
         some = slice(begin, begin + at_once)
         problems = [_SunProblem.of(one, sphere) for one in observations[some]]
-        starts = None if before is None else [scan.solution for scan in before[some]]
-        scans += [explained.scan() for explained in _explain(problems, starts)]
+        if before is None:
+            scans += [explained.scan() for explained in _explain(problems, None)]
+            continue
+        rows = [scan.rows(likeliest) for scan in before[some]]
+        among = [one.among(which) for one, which in zip(problems, rows, strict=True)]
+        starts = [scan.solution[which] for scan, which in zip(before[some], rows, strict=True)]
+        found = _explain(among, starts)
+        for scan, which, explained in zip(before[some], rows, found, strict=True):
+            scans.append(explained.scan().onto(scan, which))
     return scans
 
 
@@ -199,6 +228,16 @@ class _SunProblem:
             clipped=clipped,
             normals=_NormalErrors.of(observation, diffuse, lobes, sources),
         )
+
+    def among(self, rows: Int[Tensor, " j"]) -> "_SunProblem":
+        """That of some directions."""
+        if len(rows) == len(self.norms):
+            return self
+        normals = self.normals
+        if normals is not None:
+            there = normals.directions[rows]
+            normals = replace(normals, suns=normals.suns[rows], directions=there)
+        return replace(self, suns=self.suns[..., rows], norms=self.norms[rows], normals=normals)
 
     @property
     def unknowns(self) -> int:
@@ -294,6 +333,12 @@ class _NormalErrors:
             vector = vector + strength * self.directions[rows, axis, None]
             total.addcmul_(vector[:, None], modes)
         return total
+
+    def turned(
+        self, x: Float[Tensor, "n q"], amounts: Float[Tensor, "n k 1"], rows: slice, suns: int
+    ) -> Float[Tensor, "b m"]:
+        """What turns by so much add in the light x."""
+        return (amounts[rows].mT @ self.added(x[rows], rows, suns))[:, 0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -397,7 +442,8 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"], rounds: int) ->
     """The same with normals that may be wrong, if they may; ``gram`` is the problem's.
 
     With F from the x before, D = <M, F> and u = (D^T D + c I)^-1 D^T (y - X x) at its best, x is
-    that of a small problem again, with X^T X less X^T D (D^T D + c I)^-1 D^T X.
+    that of a small problem again, with X^T X less X^T D (D^T D + c I)^-1 D^T X. After the first
+    round the :data:`FURTHER` best directions go on.
     """
     one, errors = explained.problem, explained.problem.normals
     if errors is None:
@@ -405,14 +451,18 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"], rounds: int) ->
     seen = one.y.to(errors.modes)
     count, bounded = len(explained.x), bool(one.clipped.any())
     block = _BLOCK if seen.device.type == "cpu" else count
-    rows = [slice(begin, begin + block) for begin in range(0, count, block)]
     single = replace(one, suns=one.suns.to(seen), ambient=one.ambient.to(seen), y=seen)
     suns = single.suns.permute(2, 0, 1).contiguous()  # as products of batches want them
     gram = gram.to(seen)
     x, y = explained.x.to(seen), seen.expand(count, -1)
     if bounded:
         y = single.with_bounds_at(x)
+    kept = torch.arange(count, device=x.device)
+    modes = errors.modes.shape[1]
+    found = {name: torch.zeros_like(x) for name in ("x", "before")}
+    found |= {"amounts": x.new_zeros(count, modes, 1), "squared": x.new_zeros(count)}
     for further in reversed(range(rounds)):
+        rows = [slice(begin, begin + block) for begin in range(0, len(x), block)]
         parts = [
             _without_turns(single, suns[some], gram[some], x[some], y[some], some) for some in rows
         ]
@@ -420,16 +470,21 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"], rounds: int) ->
         before, x = x, nnls(small, right, start=x)
         amounts = solved[:, :, -1:] - solved[:, :, :-1] @ x[:, :, None]
         along = (x[:, None] @ small @ x[:, :, None])[:, 0, 0]
-        squared = level - 2 * (right * x).sum(1) + along
-
-        def added(some: slice, x: Tensor = before, amounts: Tensor = amounts) -> Tensor:
-            turned = errors.added(x[some], some, len(one.suns))
-            return (amounts[some].transpose(1, 2) @ turned)[:, 0]
-
+        found["x"][kept], found["before"][kept], found["amounts"][kept] = x, before, amounts
+        found["squared"][kept] = level - 2 * (right * x).sum(1) + along
         if bounded and further:
-            y = single.with_bounds_at(x, torch.cat([added(some) for some in rows]))
-    found = _Explained(problem=one, x=x.to(one.y), squared=squared.to(one.y))
-    return replace(found, added=added(slice(found.best, found.best + 1))[0].to(one.y))
+            assert single.normals is not None
+            turned = [single.normals.turned(before, amounts, some, len(one.suns)) for some in rows]
+            y = single.with_bounds_at(x, torch.cat(turned))
+        if further and len(x) > FURTHER + 2:
+            best = found["squared"][kept][:-2].argsort()[:FURTHER].sort().values
+            best = torch.cat([best, best.new_tensor([len(x) - 2, len(x) - 1])])
+            single, suns, gram = single.among(best), suns[best], gram[best]
+            x, y, kept = x[best], y[best], kept[best]
+    end = _Explained(problem=one, x=found["x"].to(one.y), squared=found["squared"].to(one.y))
+    at = slice(end.best, end.best + 1)
+    added = errors.turned(found["before"], found["amounts"], at, len(one.suns))
+    return replace(end, added=added[0].to(one.y))
 
 
 def _without_turns(

@@ -110,18 +110,21 @@ class LampedLight(ParametricLight):
             if self.count:
                 of_lamps = self._lamp_slopes(params)
                 if self.azimuth_index is not None:
-                    changes[:, self.azimuth_index] += of_lamps[:, self.azimuth_index]
-                changes = torch.cat([changes, of_lamps[:, self.ambient_parameters :]], 1)
+                    changes[:, self.azimuth_index] += of_lamps[:, 0]
+                changes = torch.cat([changes, of_lamps[:, -LAMP_PARAMETERS * self.count :]], 1)
             return changes.mT
 
-    def _lamp_slopes(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b p 3 n"]:
-        """Derivatives of the lamps' radiance.
+    def _lamp_slopes(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b _ 3 n"]:
+        """Derivatives of the lamps' radiance along the azimuth, if there is one, and their own.
 
         What parameters mean is differentiated by central differences in double precision, and
         lobes in closed form by what they mean: ``dg = g (X - <g X>)`` with
         ``X = (w . dd + |w - d|^2 dlog s) / s^2``.
         """
-        step = 1e-5 * torch.eye(self.parameter_count).to(params.device).double()
+        own = list(range(self.ambient_parameters, self.parameter_count))
+        if self.azimuth_index is not None:
+            own = [self.azimuth_index, *own]
+        step = 1e-5 * torch.eye(self.parameter_count)[own].to(params.device).double()
         around = params.double()[:, None, None] + torch.stack([step, -step])
         lamps = self.lamps(around)
         means = torch.cat([lamps.directions, self._resolved(lamps).log()[..., None]], -1)

@@ -309,6 +309,7 @@ class SpherePrior(Module):
     log_weights: Tensor
     means: Tensor
     precision_factors: Tensor
+    precisions: Tensor
     kind: Tensor
     log_counts: Tensor
     lamp_means: Tensor
@@ -341,6 +342,9 @@ class SpherePrior(Module):
             raise InputError("every kind of place is ruled out")
         odds = torch.tensor([float(known.get(kind, 0.0)) for kind in self.kinds])
         self.log_weights = (self.log_weights + odds[self.kind].to(self.log_weights)).log_softmax(0)
+
+        factors = self.precision_factors.double()
+        self.register_buffer("precisions", factors @ factors.mT, persistent=False)
 
     def log_prob(self, x: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch"]:
         """Natural logarithm of the density, differentiable in x."""
@@ -381,8 +385,7 @@ class SpherePrior(Module):
         x = single(x)
         with full_precision(x):
             share, z = torch.softmax(self.of_components(x), -1), self.latents
-            factors = self.precision_factors.to(x.dtype)
-            precisions = factors @ factors.mT
+            precisions = self.precisions.to(x.dtype)
             pulls = torch.einsum(
                 "bmz,mzy->bmy", x[:, None, :z] - self.means.to(x.dtype), precisions
             )

@@ -169,7 +169,7 @@ class SkyNormalModes(torch.nn.Module):
 
         With ``<sum_k u_k M_pk, w>`` in the matrix that takes a third of the products.
         """
-        which = slice(None) if scene is None else scene
+        which = slice(None) if scene is None or len(self.modes) == 1 else scene
         turned = torch.einsum(
             "bmdk,bk->bmd", self.modes[which].expand(len(amounts), -1, -1, -1), amounts
         )

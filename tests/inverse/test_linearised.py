@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.inverse._descent import deviations, jacobian
-from skylight.inverse._faces import FaceTerm, ObjectiveWeights
+from skylight.inverse._descent import Iterates, Stage, descend, deviations, jacobian
+from skylight.inverse._faces import FaceTerm, Level, ObjectiveWeights
 from skylight.inverse._objective import LightObjective
 from skylight.models._lamps import LampsLight, LampsPrior
 from skylight.models._prior import convex_shape
@@ -105,6 +105,20 @@ def test_a_prior_that_offers_its_curvature_is_taken_at_its_word():
     assert float(hessian[:, :lights, rest].abs().max()) == 0
     at = objective.model.azimuth_index
     assert float(hessian[:, at].abs().max()) == float(hessian[:, :, at].abs().max()) == 0
+
+
+def test_groups_of_starts_descend_together_as_each_alone():
+    objective = any_place()
+    free = 0.3 * torch.randn(5, objective.size, generator=torch.Generator().manual_seed(7))
+    scores = objective(free)
+    stage = Stage(level=Level(0), starts=2, iterations=4, steps="broyden")
+    groups = [Iterates.starting(free[:3], scores[:3]), Iterates.starting(free[3:], scores[3:])]
+    for group, found in zip(groups, descend(objective, groups, stage, 1e-6), strict=True):
+        (alone,) = descend(objective, [group], stage, 1e-6)
+        assert len(found.free) == 2
+        assert float(found.scores.min()) < float(group.scores.min())
+        torch.testing.assert_close(found.scores, alone.scores)
+        torch.testing.assert_close(found.free, alone.free)
 
 
 def any_place() -> LightObjective:

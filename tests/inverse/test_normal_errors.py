@@ -87,6 +87,22 @@ def test_a_head_that_may_be_turned_leaves_more_directions_open(bumps):
     assert open_to[0] > 1.3 * open_to[1]
 
 
+def test_the_likeliest_directions_may_be_scanned_alone(bumps):
+    seen, _ = mistaken(bumps, SUNS[0], (0.4, 1.0, -0.5))
+    before = scan_faces([seen])
+    other = replace(seen, weights=seen.weights.flip(0))
+    few, every = (scan_faces([other], before=before, likeliest=n)[0] for n in (40, None))
+    order = before[0].unexplained.argsort()
+    mine, rest = order[:40], order[40:]
+    for name in ("unexplained", "strengths", "solution"):
+        found, whole, old = (getattr(one, name) for one in (few, every, before[0]))
+        torch.testing.assert_close(found[mine], whole[mine], rtol=1e-4, atol=1e-6)
+        assert torch.equal(found[rest], old[rest])
+    assert int(every.unexplained.argmin()) in mine
+    torch.testing.assert_close(few.deviations, every.deviations, rtol=1e-4, atol=1e-6)
+    assert few.without_sun == pytest.approx(every.without_sun, rel=1e-4)
+
+
 @pytest.mark.slow
 def test_what_is_left_is_that_of_all_unknowns_together(bumps, monkeypatch):
     # Of one sun and no ambient light, the last round's problem is one of least squares in (a, a u).

@@ -35,6 +35,10 @@ def most_likely(evidence: tuple[float, ...], **options: float) -> tuple[int, lis
         ((0.0, 5.0, 17.0, 18.0), {"least_gain": 8.0, "patience": 2}, (2, [0, 1, 2, 3])),
         ((0.0, 5.0, 15.0, 18.0), {"least_gain": 8.0, "patience": 2}, (0, [0, 1, 2])),  # two need 16
         ((0.0, 9.0, 10.0, 26.0), {"least_gain": 8.0, "patience": 2}, (3, [0, 1, 2, 3])),
+        ((0.0, -7.0, 90.0, 91.0), {"least_gain": 8.0, "patience": 2}, (2, [0, 1, 2, 3])),
+        # far less likely than without: nobody waits
+        ((0.0, -9.0, 90.0, 95.0), {"least_gain": 8.0, "patience": 2}, (0, [0, 1])),
+        ((0.0, 9.0, 0.0, 95.0), {"least_gain": 8.0, "patience": 2}, (1, [0, 1, 2])),
     ],
 )
 def test_lamps_pay_or_are_left_out(evidence, options, expected) -> None:
