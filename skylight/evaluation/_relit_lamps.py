@@ -52,17 +52,18 @@ class RelitLamps(FaceEvaluation):
     random circle; the first ``sources`` are each relit to the ``targets`` that follow. Head and
     light are estimated from the one photograph, once. The other lamp is given as a map that is
     black beside it, in the colour that the light found has for a surface which faces the camera:
-    both lamps are of a kind. Rows: ``relit``; ``transfer``, the photograph with the true one's mean
-    and deviation in CIELAB; ``unchanged``; and ``peers``, of each its name and a folder of pictures
-    by others, ``PAIR.png`` in sRGB (the pairs are named in results.json, their first photograph is
-    relit to the lamp of the second). All but the transfer get the exposure that is nearest to the
-    truth. Scores (:func:`~skylight.evaluation._relit_scores.score`) are over the head fitted to
-    the first photograph, where no hair covers it.
+    both lamps are of a kind. What the room adds is not in it, so shadows may be too dark.
+
+    Rows: ``relit``; ``transfer``, the photograph with the true one's mean and deviation in CIELAB;
+    ``unchanged``; and ``peers``, of each its name and a folder of pictures by others, ``PAIR.png``
+    in sRGB (the pairs are named in results.json, their first photograph is relit to the lamp of the
+    second). All but the transfer get the exposure that is nearest to the truth. Scores
+    (:func:`~skylight.evaluation._relit_scores.score`) are over the head fitted to the first
+    photograph, where no hair covers it.
     """
 
     title = "relit-lamps"
     needs = "photographs of faces and a lamps.json, as for lamps, two of a person or more"
-
     data_folder = "lamps"
     quick = MappingProxyType({"sources": 1, "targets": 1})
     selects = ("sources", "targets")
