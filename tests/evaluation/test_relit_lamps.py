@@ -84,7 +84,7 @@ def test_a_peer_is_to_be_beaten_in_every_metric(tmp_path: Path) -> None:
     index(tmp_path, {"a_0.png": AHEAD, "a_1.png": AHEAD})
 
     def row(rmse: float, ssim: float, blotch: float) -> dict[str, float]:
-        return {"srgb_rmse": rmse, "srgb_ssim": ssim, "blotch": blotch}
+        return {"srgb_rmse_skin": rmse, "srgb_ssim_skin": ssim, "blotch_skin": blotch}
 
     rows = {
         "relit": row(0.1, 0.8, 0.2),
@@ -99,15 +99,15 @@ def test_a_peer_is_to_be_beaten_in_every_metric(tmp_path: Path) -> None:
     assert isinstance(evaluation, RelitLamps)
     summary = {name: {} for name in rows}
     checks = evaluation.checks(summary, [Item(name="a", metrics=rows)])
-    assert checks["mean srgb_rmse over that of transfer"].value == pytest.approx(0.25)
+    assert checks["mean srgb_rmse_skin over that of transfer"].value == pytest.approx(0.25)
     assert {name: check.ok for name, check in checks.items()} == {
-        "mean srgb_rmse over that of transfer": True,
-        "mean srgb_rmse over that of unchanged": True,
-        "mean blotch over that of unchanged": True,
-        "mean srgb_ssim over that of unchanged": True,
-        "mean srgb_rmse over that of theirs": True,
-        "mean blotch over that of theirs": False,
-        "mean srgb_ssim over that of theirs": False,
+        "mean srgb_rmse_skin over that of transfer": True,
+        "mean srgb_rmse_skin over that of unchanged": True,
+        "mean blotch_skin over that of unchanged": True,
+        "mean srgb_ssim_skin over that of unchanged": True,
+        "mean srgb_rmse_skin over that of theirs": True,
+        "mean blotch_skin over that of theirs": False,
+        "mean srgb_ssim_skin over that of theirs": False,
     }
 
 
@@ -140,7 +140,7 @@ def test_a_person_is_relit_from_lamp_to_lamp(
     assert isinstance(with_peers, RelitLamps)
     out = tmp_path / "out"
     results = json.loads(run_evaluation(with_peers, out, command="c").read_text())
-    rmse = {row: metrics["srgb_rmse"]["mean"] for row, metrics in results["rows"].items()}
+    rmse = {row: metrics["srgb_rmse_skin"]["mean"] for row, metrics in results["rows"].items()}
     assert set(rmse) == {"relit", "unchanged", "theirs", "transfer"}
     assert rmse["theirs"] < 0.01
     assert rmse["relit"] < rmse["unchanged"]
