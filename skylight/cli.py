@@ -12,7 +12,7 @@ from tyro.conf import Positional
 
 from skylight import __version__
 from skylight._options import who_works
-from skylight.errors import explain
+from skylight.errors import InputError, explain
 from skylight.estimation._command import estimate
 from skylight.io._atomic import PARTIAL
 from skylight.maps._command import code_probe, convert, decode_code, score
@@ -114,6 +114,7 @@ def evaluate(
     device: Device = "auto",
     workers: int = 2,
     cluster: str | None = None,
+    peer: tuple[str, ...] = (),
 ) -> None:
     """Compute one of the tables or figures of the evaluation.
 
@@ -130,8 +131,11 @@ def evaluate(
         device: Of faces: where their light is optimised.
         workers: Processes that work at the same time; 0 for one per core.
         cluster: A dask scheduler's address, whose workers do it instead.
+        peer: Of relit-lamps: NAME=FOLDER, several of them if you like: others' relit pictures,
+            named by pair, that get a row of that name.
     """
     who = who_works(workers, cluster, out)
+    peers = _folders_by_name(peer)
     from skylight.evaluation._known_faces import EstimateOptions
     from skylight.evaluation._main import evaluate, evaluate_all
     from skylight.models._bundle import own_model
@@ -140,9 +144,22 @@ def evaluate(
     is_default = chosen is None and device == "auto"
     options = None if is_default else EstimateOptions(model=chosen, device=device)
     if name == "all":
+        if peers:
+            raise InputError("--peer is of one evaluation: give its name in place of all")
         evaluate_all(quick=quick, data=data, out=out, workers=who, options=options)
     else:
-        evaluate(name, quick=quick, data=data, out=out, workers=who, options=options)
+        evaluate(name, quick=quick, data=data, out=out, workers=who, options=options, peers=peers)
+
+
+def _folders_by_name(given: tuple[str, ...]) -> dict[str, Path]:
+    """Of NAME=FOLDER."""
+    folders: dict[str, Path] = {}
+    for text in given:
+        name, _, folder = text.partition("=")
+        if not name or not folder or name in folders:
+            raise InputError(f"--peer {text}: give NAME=FOLDER, each name once")
+        folders[name] = Path(folder)
+    return folders
 
 
 export.command(name="light")(export_light)

@@ -74,13 +74,13 @@ class Lamps(FaceEvaluation):
     ablation: bool = False
 
     def __post_init__(self) -> None:
-        _read_index(self.data)
+        lamp_index(self.data)
 
     def items(self) -> list[str]:
-        return sorted(_read_index(self.data))[:: self.every]
+        return sorted(lamp_index(self.data))[:: self.every]
 
     def measure(self, item: str, picture: Path) -> Item:
-        lamp = torch.tensor(_read_index(self.data)[item], dtype=torch.float64)
+        lamp = torch.tensor(lamp_index(self.data)[item], dtype=torch.float64)
         seconds: dict[str, float] = {}
         photo = read_lamp_photo(self.data / item)
         fit, view = observe_largest(photo, item, seconds)
@@ -226,7 +226,8 @@ def tinted(grey: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
 
 
 @cache
-def _read_index(data: Path) -> dict[str, list[float]]:
+def lamp_index(data: Path) -> dict[str, list[float]]:
+    """Unit vectors to the lamps of a folder's photographs, in the camera's frame, by file."""
     path = data / INDEX
     index = read_index(path)
     if not isinstance(index, dict) or not index:

@@ -7,9 +7,11 @@ import platform
 import re
 import subprocess
 import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 
 import torch
 from rich.console import Console
@@ -24,6 +26,7 @@ from skylight.evaluation._light_representations import LightRepresentations
 from skylight.evaluation._partition_probe import PartitionProbeTable
 from skylight.evaluation._pictures import write_sheet
 from skylight.evaluation._real_faces import RealFaces
+from skylight.evaluation._relit_lamps import RelitLamps
 from skylight.evaluation._relit_portraits import RelitPortraits
 from skylight.evaluation._run import Evaluation, measure_all, picture_of
 from skylight.evaluation._shared_light import SharedLight
@@ -64,6 +67,7 @@ EVALUATIONS: dict[str, type[Evaluation]] = {
         AnyLight,
         FaceSensitivity,
         RelitPortraits,
+        RelitLamps,
         Speed,
     )
 }
@@ -77,6 +81,7 @@ def evaluate(
     out: Path,
     workers: Workers = 2,
     options: EstimateOptions | None = None,
+    peers: Mapping[str, Path] = MappingProxyType({}),
 ) -> Path:
     """Run an evaluation by name and write its results into ``out``; returns ``results.json``.
 
@@ -89,7 +94,7 @@ def evaluate(
     ------
     InputError
         An unknown name, data that the evaluation cannot use, or ``options`` other than the
-        defaults for an evaluation that does not have them.
+        defaults or ``peers`` for an evaluation that does not have them.
     """
     if name not in EVALUATIONS:
         raise InputError(
@@ -100,9 +105,12 @@ def evaluate(
     command = f"skylight evaluate {name}" + (" --quick" if quick else "")
     command += f" --data {data.name}" if data is not None else ""
     command += f" --model {_named(options.model)}" if options and options.model else ""
+    command += "".join(f" --peer {peer}={folder.name}" for peer, folder in peers.items())
     evaluation = EVALUATIONS[name].over(data, quick=quick)
     if options is not None:
         evaluation = evaluation.with_model(options.model, options.device)
+    if peers:
+        evaluation = evaluation.with_peers(peers)
     return run_evaluation(evaluation, out, command=command, quick=quick, workers=workers)
 
 

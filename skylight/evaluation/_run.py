@@ -166,6 +166,16 @@ class Evaluation(ABC):
         """
         raise InputError(f"{self.title} uses no trained model: leave --model and --device out")
 
+    def with_peers(self, peers: Mapping[str, Path]) -> "Evaluation":
+        """The same with rows for the results of others, by name the folder that they lie in.
+
+        Raises
+        ------
+        InputError
+            It compares no results of others, or a folder holds none of its items.
+        """
+        raise InputError(f"{self.title} compares no results of others: leave --peer out")
+
 
 @dataclass(frozen=True, kw_only=True)
 class ProbeEvaluation(Evaluation):

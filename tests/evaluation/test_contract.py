@@ -36,9 +36,11 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "meshes").mkdir()
     trimesh.creation.icosphere(subdivisions=2).export(folder / "meshes" / "ball.ply")
     grey = torch.full((8, 8, 3), 128, dtype=torch.uint8).numpy()
-    for name, index in (("faces", {"a.png": {}}), ("lamps", {"a.png": [0.0, 0.0, 1.0]})):
+    ahead = [0.0, 0.0, 1.0]
+    for name, index in (("faces", {"a.png": {}}), ("lamps", {"a_1.png": ahead, "a_2.png": ahead})):
         (folder / name).mkdir()
-        write_png(folder / name / "a.png", grey)
+        for photo in index:
+            write_png(folder / name / photo, grey)
         file = "index.json" if name == "faces" else "lamps.json"
         (folder / name / file).write_text(json.dumps(index))
     faces = rendered_folder(folder / "indoor", [LAMP], light)

@@ -13,7 +13,9 @@ from skylight.evaluation import (
     _lit_object as lit_object,
     _partition_probe as partition_probe,
     _partition_scene as partition_scene,
+    _relit_lamps as relit_lamps,
     _relit_portraits as relit_portraits,
+    _relit_scores as relit_scores,
     _shared_light as shared_light,
     _sky_fits as sky_fits,
     _sky_models as sky_models,
@@ -93,6 +95,7 @@ SETTINGS = {
         "methods": ("sh9", "sh25", "sunsky", "autoencoder"),
     },
     "relit-portraits": {"count": None, "seed": 0},
+    "relit-lamps": {"sources": 3, "targets": 3, "peers": (), "seed": 0},
     "speed": {"count": 12, "runs": ((1, 1), (2, 1), (2, 16)), "seed": 0},
 }
 
@@ -126,7 +129,9 @@ def test_goals_are_those_that_the_pages_state() -> None:
     assert (lamps.TRUSTED_DEG, lamps.TRUSTED_SHARE) == (10, 0.85)
     assert lamps.COVERED == (0.85, 0.95)
     assert (lamps.POSE_SCATTER_DEG, lamps.POSE_MEDIAN_DEG, lamps.POSE_WORST_DEG) == (1.5, 2, 8)
-    assert relit_portraits.RMSE_RATIO == 0.5
+    assert relit_portraits.GOALS == {"": (0.5, 26), "_skin": (0.45, 28)}
+    assert (relit_portraits.LEAST_SSIM, relit_portraits.BLOTCH_RATIO) == (0.88, 0.7)
+    assert relit_lamps.RMSE_RATIO == 0.5
     assert shared_light.BETTER == 0.6
     assert (shared_light.COUNTS, shared_light.TOGETHER) == ((1, 2, 4), 4)
     assert sky_models.SIMULATED_GOALS == {
@@ -177,6 +182,8 @@ def test_what_is_measured_is_as_the_thesis_has_it_or_the_pages_say() -> None:
     assert (lit_object.PIXELS, lit_object.HEIGHT) == (1477, 96)
     assert lamps.METHODS == ("sphere", "autoencoder", "lamps", "auto")
     assert lamps.SKIN_TINT == (1.0, 0.66, 0.51)
+    assert (relit_lamps.LIT_SHARE, relit_lamps.MAP_ROWS) == (0.6, 128)
+    assert (relit_scores.BLOTCH_PX, relit_scores.BLOTCH_PERCENTILE) == (9, 99)
     assert partition_probe.ORDER == ("110d", "sh25", "38d", "sh9", "14d", "6d")
     assert partition_probe.OUTDOOR == ("14d-outdoor", "14d-sun-12")
     assert partition_probe.THESIS_MAE == {"sh25": 0.138, "38d": 0.210, "110d": 0.114}
@@ -230,8 +237,9 @@ def test_every_number_has_a_label_and_every_table_its_neighbour() -> None:
         *("full_dw_mae", "sky_dw_mae", "sun_dw_mae", "sun_dw_mae_fixed", "sun_angle_deg"),
         *("main_lamp_deg", "lamps_found", "whole_colour", "whole_level", "lower_colour"),
         *("lower_level", "log_radiance", "pose_deg", "in_region", "region_sr", "psnr"),
-        *("tone_mapped_ssim", "floats", "floats_per_activation", "l2", "srgb_rmse", "srgb_ssim"),
-        *("srgb_rmse_skin", "srgb_ssim_skin", "seconds", "cpu_seconds", "photos_per_minute"),
+        *("tone_mapped_ssim", "floats", "floats_per_activation", "l2", "srgb_rmse", "srgb_psnr"),
+        *("srgb_ssim", "blotch", "srgb_rmse_skin", "srgb_psnr_skin", "srgb_ssim_skin"),
+        *("blotch_skin", "seconds", "cpu_seconds", "photos_per_minute"),
         *("seconds_of_a_photo", "transport_seconds", "peak_mib"),
     ]
     assert tables.BESIDE == {

@@ -41,7 +41,7 @@ def test_grey_linear_codes_come_back_as_light_of_skins_hue(tmp_path):
 )
 def test_an_index_without_directions_is_refused(tmp_path, content, said):
     index(tmp_path, content)
-    lamps._read_index.cache_clear()
+    lamps.lamp_index.cache_clear()
     with pytest.raises(InputError, match=said):
         Lamps(data=tmp_path)
 
@@ -50,7 +50,7 @@ def test_a_picture_without_a_face_is_not_found(tmp_path):
     index(tmp_path, {"a_1.png": [0.0, 0.0, 1.0]})
     grey = np.random.default_rng(0).integers(0, 255, (96, 96)).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "a_1.png"), grey)
-    lamps._read_index.cache_clear()
+    lamps.lamp_index.cache_clear()
     evaluation = Lamps(data=tmp_path)
     (item,) = measure_all(evaluation, tmp_path / "out", workers=1)
     assert "no face found" in item.problem
@@ -98,7 +98,7 @@ def test_every_part_left_out_has_a_row(tmp_path):
     cv2.imwrite(str(tmp_path / "a_1.png"), grey)
     lamp = person.environment.brightest_direction()
     index(tmp_path, {"a_1.png": lamp.tolist()})
-    lamps._read_index.cache_clear()
+    lamps.lamp_index.cache_clear()
     evaluation = Lamps(data=tmp_path, ablation=True, options=QUICK)
     item = evaluation.measure("a_1.png", tmp_path / "picture.png")
     parts = ("_balanced", "_varying_skin", "_trusted_normals", "_68_points")
