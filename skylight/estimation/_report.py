@@ -37,6 +37,7 @@ from skylight.estimation._summary import (
     describe_lights,
     draw_region,
     has_ground,
+    main_light,
     posterior_map,
     probe_title,
 )
@@ -352,7 +353,7 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
     estimate, fit = result.estimate, result.fit
     azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
     rows = [
-        ("brightest", ""),
+        (main_light(estimate), ""),
         (f"   {place(estimate.sun_direction)}", ""),
         ("   azimuth, right of ahead", f"{azimuth_deg:+.0f}°"),
         ("   zenith angle", f"{zenith_deg:.0f}°"),

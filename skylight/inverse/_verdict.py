@@ -40,10 +40,10 @@ Word = Literal["sure", "rough", "unknown"]
 # green, of 90 %.
 SURE_DEG, ROUGH_DEG = 14.0, 20.0
 SURE_FACTOR, ROUGH_FACTOR = 1.25, 2.0
-SURE_TINT, ROUGH_TINT = 1.15, 1.5
+SURE_TINT, ROUGH_TINT = 1.15, 1.6
 # k and e of the module's text, of brightness and of colour
-LEVEL_SCALE, LEVEL_FLOOR = 1.7, 0.1
-TINT_SCALE, TINT_FLOOR = 2.2, 0.05
+LEVEL_SCALE, LEVEL_FLOOR = 1.8, 0.1
+TINT_SCALE, TINT_FLOOR = 3.0, 0.05
 _NORMAL = 1.645  # standard deviations within which a normal density has 90 %
 
 CAMERA = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)  # from the face

@@ -111,7 +111,7 @@ def test_the_numbers_are_the_estimates(figure: Figure, result: PhotoEstimate) ->
     azimuth, zenith = ((COLUMN + 0.5) / 128 - 0.5) * 360, (ROW + 0.5) / 64 * 180
     assert numbers["   azimuth, right of ahead"] == f"{azimuth:+.0f}°"
     assert numbers["   zenith angle"] == f"{zenith:.0f}°"
-    assert numbers["brightest"] == ""
+    assert numbers["main light"] == ""
     assert "   from the right" in numbers
     red, green, blue = result.estimate.albedo.tolist()
     assert numbers["skin albedo"].split() == [f"{red:.2f}", f"{green:.2f}", f"{blue:.2f}"]

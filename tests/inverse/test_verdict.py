@@ -111,7 +111,7 @@ def test_two_suns_are_told():
 
 @pytest.mark.parametrize(
     ("spread", "brightness", "colour"),
-    [(0.0, "sure", "sure"), (0.1, "rough", "rough"), (1.0, "unknown", "unknown")],
+    [(0.0, "sure", "sure"), (0.08, "rough", "rough"), (1.0, "unknown", "unknown")],
 )
 def test_brightness_and_colour_are_sure_by_their_spreads(spread, brightness, colour):
     found = judged(spreads=Spreads(level=spread, tint=spread))
