@@ -68,6 +68,8 @@ def warning_of(estimate: Estimate) -> str:
 class KeptFace:
     """The (first) face of an estimate in its photograph, which has a ``name``.
 
+    That was read from ``file`` with ``decode``, or given in memory.
+
     ``environment``, ``white_balance``, ``lamps`` and ``advice`` are the estimate's, ``verdict`` is
     that in words, and ``warning`` is :func:`warning_of` it.
     """
@@ -82,6 +84,8 @@ class KeptFace:
     verdict: str
     advice: tuple[str, ...]
     warning: str
+    file: Path | None = None
+    decode: Decode | None = None
 
     @staticmethod
     def of(result: "PhotoEstimate | KeptFace") -> "KeptFace":
@@ -100,20 +104,17 @@ class KeptFace:
             verdict=estimate.verdict.summary,
             advice=estimate.advice,
             warning=warning_of(estimate),
+            file=dict(enumerate(result.files)).get(number),
+            decode=result.decode,
         )
 
 
 FoundLight = Estimate | KeptFace  # whose light a new one is made of
 
 
-def write_face(
-    folder: Path, face: KeptFace, file: Path | None = None, decode: Decode | None = None
-) -> None:
-    """Write :data:`KEPT`, about 2 MB, of a face whose photograph was read from ``file``.
-
-    A photograph that was no file has to be given again. ``decode`` is how it was read.
-    """
-    fit, camera = face.fit, face.fit.camera
+def write_face(folder: Path, face: KeptFace) -> None:
+    """Write :data:`KEPT`, about 2 MB; a photograph that was no file has to be given again."""
+    file, fit, camera = face.file, face.fit, face.fit.camera
     tensors = {name: torch.from_numpy(getattr(fit, name)) for name in _OF_FIT}
     tensors |= {
         "camera": torch.tensor(
@@ -132,7 +133,7 @@ def write_face(
     facts = {
         "photo": None if file is None else _from(folder, file),
         "sha256": None if file is None else file_hash(file),
-        "decode": decode,
+        "decode": face.decode,
         "name": face.name,
         "spreads_rad": [lamp.spread_rad for lamp in face.lamps],
         "specular_scale": face.reflection.specular_scale,
@@ -211,17 +212,26 @@ def read_face(folder: Path, photo: Photo | None = None) -> KeptFace:
         raise InputError(
             f"{path}: damaged ({error}); estimate the photograph again (skylight estimate)"
         ) from error
+    file = None
     if photo is None:
-        photo = _read_again(folder, where, sha256, decode)
+        file = _photograph(folder, where, sha256)
+        photo = read_photo(file, decode=decode)
     if photo.encoded.shape[:2] != (fit.camera.height, fit.camera.width):
         raise InputError(f"{kept['name']}: not of the size that was estimated; estimate it again")
-    return KeptFace(photo=photo, fit=fit, reflection=reflection, lamps=lamps, **kept, **light)
+    return KeptFace(
+        photo=photo,
+        fit=fit,
+        reflection=reflection,
+        lamps=lamps,
+        file=file,
+        decode=decode,
+        **kept,
+        **light,
+    )
 
 
-def _read_again(
-    folder: Path, where: str | None, sha256: str | None, decode: Decode | None
-) -> Photo:
-    """The photograph of the results in ``folder``."""
+def _photograph(folder: Path, where: str | None, sha256: str | None) -> Path:
+    """The file of the photograph of the results in ``folder``."""
     if where is None:
         raise InputError(f"{folder}: made of no file, so the photograph is not known: name it")
     file = Path(os.path.normpath(folder.resolve() / where))
@@ -233,4 +243,4 @@ def _read_again(
         raise InputError(
             f"{file}: another picture than the one estimated into {folder}; estimate it again"
         )
-    return read_photo(file, decode=decode)
+    return file

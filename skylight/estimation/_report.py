@@ -404,8 +404,8 @@ def write_results(folder: Path, result: PhotoEstimate, *, keep_place: bool = Fal
     write_json(folder / "estimate.json", describe(result, keep_place=keep_place))
     for name, seen in zip(mesh_names(result), result.seen, strict=True):
         write_mesh(folder / name, seen.fit)
-    if file := dict(enumerate(result.files)).get(result.seen[0].photo):
-        write_face(folder, KeptFace.of(result), file, result.decode)
+    if (face := KeptFace.of(result)).file is not None:
+        write_face(folder, face)
     first, *more = result.names
     title = Path(first).name + (f" and {len(more)} more" if more else "")
     if len(result.seen) == 1:

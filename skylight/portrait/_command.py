@@ -112,7 +112,7 @@ def relight_portrait(
         retry_failed: Of a folder of pictures: estimate those again that failed before.
         reading: How the map of --under is read.
     """
-    keys = [name for name in KEY_NAMES if name in key or "all" in key]
+    keys: list[KeyName] = [name for name in KEY_NAMES if name in key or "all" in key]
     kinds = {
         "--key": bool(key),
         "--angle": bool(angle),
@@ -243,13 +243,17 @@ def _relight_one(wanted: _Wanted, *, is_estimate: bool) -> None:
         wanted.refuse_settings()
         kept = read_face(photo)
     pictures = wanted.pictures(photo.resolve().stem if kept is None else Path(kept.name).stem)
+    file = photo if kept is None else kept.file
+    for path in pictures:
+        if file is not None and path.resolve() == file.resolve():
+            raise InputError(f"{path} is the photograph itself: name another picture")
     if wanted.out is not None and wanted.out not in pictures:
+        if wanted.out.is_file():
+            raise InputError(f"{wanted.out} is a file: name a folder, a .png or an .exr")
         require_place(wanted.out.resolve().parent / "picture.png")
         wanted.out.mkdir(exist_ok=True)
     for path in pictures:
         require_place(path)
-        if path.resolve() == photo.resolve():
-            raise InputError(f"{path} is the photograph itself: name another picture")
     with stage_bar() as progress:
         if kept is None:
             found = Pictures.of([photo], wanted.settings, progress=progress).estimate()
@@ -280,6 +284,8 @@ def _relight_folder(wanted: _Wanted, workers: int, retry_failed: bool) -> None:
     out = wanted.out or Path(f"{photos.resolve().name}_relit")
     if out.suffix.lower() in (".png", ".exr"):
         raise InputError(f"{out}: {photos} is a folder, whose pictures go into another: name one")
+    if out.resolve() == photos.resolve():
+        raise InputError(f"{out}: relit pictures go to another folder: name one")
     who, failed = who_works(workers, None, out), []
     estimates = photos / ESTIMATES if (photos / ESTIMATES / MANIFEST).is_file() else photos
     try:

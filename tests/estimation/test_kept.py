@@ -36,8 +36,10 @@ def kept(tmp_path: Path) -> tuple[KeptFace, Path]:
             Lamp(direction=direction(x, 60.0), irradiance=torch.rand(3), spread_rad=x / 99)
             for x in (5.0, 7.0)
         ),
+        file=photo,
+        decode="linear",
     )
-    write_face(folder, face, photo, "linear")
+    write_face(folder, face)
     return replace(face, photo=read_photo(photo, decode="linear")), folder
 
 
@@ -97,7 +99,7 @@ def test_what_is_missing_or_wrong_is_one_line(kept: tuple[KeptFace, Path], tmp_p
     write_png(tmp_path / "small.png", codes[:60, :60])
     with pytest.raises(InputError, match="not of the size"):
         read_face(folder, read_photo(tmp_path / "small.png"))
-    write_face(folder, face)
+    write_face(folder, replace(face, file=None))
     with pytest.raises(InputError, match="made of no file"):
         read_face(folder)
     content = (folder / KEPT).read_bytes()

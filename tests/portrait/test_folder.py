@@ -67,7 +67,7 @@ def kept(photo: Path, folder: Path) -> None:
     write_png(photo, known_face().photo.encoded)
     folder.mkdir(parents=True)
     (folder / "estimate.json").write_text("{}")
-    write_face(folder, replace(known_face(), name=photo.name), photo)
+    write_face(folder, replace(known_face(), name=photo.name, file=photo))
 
 
 def halves(path: Path) -> tuple[float, float]:
@@ -118,12 +118,20 @@ def test_of_an_estimate_the_picture_has_the_photographs_name(
         (["--key", "left", "--workers", "2"], "--workers"),
         (["--key", "left", "--retry-failed"], "--retry-failed"),
         (["--key", "all", "--out", "x.png"], "5 lights"),
+        (["--key", "left", "--out", "me.png"], "the photograph itself"),
+        (["--key", "left", "--out", "a_file"], "is a file"),
     ],
 )
 def test_what_an_estimate_does_not_take_is_one_line(
-    options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    options: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     kept(tmp_path / "me.png", tmp_path / "me_light")
+    (tmp_path / "a_file").touch()
+    monkeypatch.chdir(tmp_path)
     assert main(["relight-portrait", str(tmp_path / "me_light"), *options]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert said in line
@@ -162,6 +170,8 @@ def test_a_folder_of_estimates_goes_on_and_passes_over_what_fails(
     assert main([*command, "--soft"]) == 0  # another light
     assert len(one_portrait) == 7
 
+    assert main(["relight-portrait", str(estimates), "--out", str(estimates), "--key", "top"]) == 2
+    assert "another folder" in capsys.readouterr().err
     empty = tmp_path / "empty"
     empty.mkdir()
     assert main(["relight-portrait", str(empty), "--key", "left"]) == 2

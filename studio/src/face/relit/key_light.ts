@@ -29,7 +29,7 @@ export interface Lit {
   common: number;
 }
 
-/** Some of the directions that points see or not, by pixel, with weights of sum 1. */
+/** Some of the directions that points see or not, by pixel; a surface that faces it receives 1 of their weights. */
 export interface Lobe {
   middle: Vec3;
   spreadRad: number;
@@ -38,26 +38,34 @@ export interface Lobe {
   weights: Float32Array;
 }
 
-/** A von Mises-Fisher lobe of that spread per axis, no narrower than half a pixel of the grid. */
-export function lobe(middle: Vec3, spreadRad: number): Lobe {
-  const columns = 2 * ROWS;
-  const spread = Math.max(spreadRad, Math.PI / ROWS / 2);
-  const solid = solidAngles(columns, ROWS);
+/**
+ * A von Mises-Fisher lobe of that spread per axis, no narrower than half a pixel of the grid of so
+ * many rows. Of a wide one each second row and column does, for a quarter of the time.
+ */
+export function lobe(middle: Vec3, spreadRad: number, rows = ROWS): Lobe {
+  const columns = 2 * rows;
+  const pixelRad = Math.PI / rows;
+  const spread = Math.max(spreadRad, pixelRad / 2);
+  const step = spread > 1.6 * pixelRad ? 2 : 1;
+  const solid = solidAngles(columns, rows);
   const found: { pixel: number; direction: Vec3; weight: number }[] = [];
-  for (let pixel = 0; pixel < ROWS * columns; pixel++) {
+  let facing = 0;
+  for (let pixel = 0; pixel < rows * columns; pixel++) {
     const row = Math.floor(pixel / columns);
-    const direction = fromPixel(pixel % columns, row, columns, ROWS);
+    if (row % step || pixel % step) continue;
+    const direction = fromPixel(pixel % columns, row, columns, rows);
     const chord = 2 - 2 * (direction[0] * middle[0] + direction[1] * middle[1] + direction[2] * middle[2]);
-    if (chord < (CUT_OFF * spread) ** 2)
-      found.push({ pixel, direction, weight: solid[row]! * Math.exp(-chord / (2 * spread ** 2)) });
+    if (chord >= (CUT_OFF * spread) ** 2) continue;
+    const weight = solid[row]! * Math.exp(-chord / (2 * spread ** 2));
+    found.push({ pixel, direction, weight });
+    facing += weight * Math.max(0, 1 - chord / 2);
   }
-  const total = found.reduce((sum, { weight }) => sum + weight, 0);
   return {
     middle,
     spreadRad,
     pixels: Int32Array.from(found, ({ pixel }) => pixel),
     directions: Float32Array.from(found.flatMap(({ direction }) => direction)),
-    weights: Float32Array.from(found, ({ weight }) => weight / total),
+    weights: Float32Array.from(found, ({ weight }) => weight / facing),
   };
 }
 
@@ -207,13 +215,14 @@ export class KeyLight {
   }
 
   /** `max(0, 1 - |p - q|_1)` of skylight.portrait._relit.shared_light. */
-  private common({ pixels, weights }: Lobe, key: [number, number, number], dimmed: number): number {
+  private common({ middle, spreadRad }: Lobe, key: [number, number, number], dimmed: number): number {
     const { foundPower, restPower } = this.person;
     const power = restPower.map((value) => dimmed * value);
-    const block = ROWS / SHARED_ROWS;
+    const rows = 4 * SHARED_ROWS;
+    const { pixels, weights } = lobe(middle, spreadRad, rows);
     pixels.forEach((pixel, k) => {
-      const row = Math.floor(pixel / (2 * ROWS) / block);
-      const column = Math.floor((pixel % (2 * ROWS)) / block);
+      const row = Math.floor(pixel / (2 * rows) / 4);
+      const column = Math.floor((pixel % (2 * rows)) / 4);
       power[row * 2 * SHARED_ROWS + column]! += weights[k]! * luminance(...key);
     });
     const sum = (of: Float32Array): number => of.reduce((total, value) => total + value, 0);
