@@ -58,6 +58,9 @@ MergedFrom = Literal["ball", "360"]
 # Programs for which light is exported: skylight.maps._export
 LightTarget = Literal["threejs", "sh", "ar", "gltf", "usd", "mitsuba", "blender"]
 
+# Where a portrait's key light stands: skylight.portrait._keys
+KeyName = Literal["left", "right", "top", "rim", "front"]
+
 # Light models, on the command line and in results: skylight.models
 LightName = Literal["sphere", "autoencoder", "sunsky", "lamps", "auto", "sh9", "sh25"]
 DEFAULT_LIGHT: LightName = "sphere"

@@ -19,6 +19,7 @@ RESULTS = {
     "mesh.obj",
     "estimate.json",
     "report.png",
+    "person.safetensors",
 }
 
 

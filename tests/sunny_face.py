@@ -4,9 +4,11 @@ from functools import lru_cache
 
 import torch
 
+from skylight.estimation._kept import FaceReflection, KeptFace
 from skylight.estimation._photos import estimate_photo
 from skylight.estimation._summary import PhotoEstimate
 from skylight.faces._synthetic import SyntheticFace, render_face
+from skylight.imaging._photo import photo_from_codes
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
 
@@ -38,3 +40,22 @@ def sunny_estimate() -> PhotoEstimate:
 def sky_estimate() -> PhotoEstimate:
     """Of the same picture by Preetham's sky with its sun."""
     return estimate_photo(sunny_face(40.0, 50.0).encoded, light="sunsky", device="cpu", workers=1)
+
+
+@lru_cache(maxsize=1)
+def known_face() -> KeptFace:
+    """A small picture under an even sky, as if head and light had been estimated without error."""
+    sky = EnvironmentMap(radiance=SKY.expand(32, 128, 3).clone())
+    face = render_face(sky, torch.full((3,), 0.2), seed=3, size=96, azimuth_rad=0.0, light_rows=32)
+    return KeptFace(
+        photo=photo_from_codes(face.encoded),
+        name="me.png",
+        fit=face.truth,
+        reflection=FaceReflection(specular_scale=0.5, head_error=None),
+        environment=face.environment,
+        white_balance=torch.tensor([1.1, 1.0, 1 / 1.1]),
+        lamps=(),
+        verdict="direction good",
+        advice=("a grey picture",),
+        warning="",
+    )

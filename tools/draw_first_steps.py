@@ -85,8 +85,9 @@ STEPS = (
     ),
     Step(
         title="The portrait in another light",
-        typed="skylight relight-portrait portrait.png --light auto --sun=-60,35 --out left.png",
-        then="Its sun, or main lamp, now comes from the left: [portraits](portraits.md).",
+        typed="skylight relight-portrait light --key left --out left.png",
+        then="A key light from the left; the estimate above is used again: "
+        "[portraits](portraits.md).",
         picture="left.png",
     ),
     Step(

@@ -1,6 +1,10 @@
 from ._folder import (
     estimate_folder as estimate_folder,
 )
+from ._kept import (
+    KeptFace as KeptFace,
+    read_face as read_face,
+)
 from ._photos import (
     estimate as estimate,
     estimate_photo as estimate_photo,

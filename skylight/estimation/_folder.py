@@ -107,7 +107,7 @@ def estimate_folder(
         for source in missing:
             entries.pop(source, None)
         write_manifest(out / MANIFEST, entries.values())
-        tell = _teller(progress, sources, entries)
+        tell = teller(progress, sources, entries)
         tell()
         pieces = [
             Piece(
@@ -169,7 +169,7 @@ def time_left_s(seconds: Sequence[float], elapsed_s: float, left: int) -> float:
     return left * statistics.median(seconds) * elapsed_s / math.fsum(seconds)
 
 
-def _teller(
+def teller(
     progress: StageProgress | None, sources: Sequence[str], entries: Mapping[str, Entry]
 ) -> Callable[[], None]:
     """Tells of the entries that are there; time counts from now."""
@@ -216,6 +216,10 @@ class Piece:
         """The photo, read; light is traced by one process."""
         return Pictures.of([self.path], self.settings, names=[self.source], workers=1)
 
+    def attempt(self, work: Callable[[], T]) -> tuple[T | None, str]:
+        """:func:`attempted` of the photo."""
+        return attempted(work, self.path, self.source)
+
     def write(self, result: Callable[[], PhotoEstimate]) -> dict[str, Any]:
         """Claim the folder, write what comes of the photo; what its estimate.json says."""
         with results_folder(self.folder, SOME_FILES) as folder:
@@ -250,21 +254,22 @@ class Piece:
             versions=content["versions"],
         )
 
-    def attempt(self, work: Callable[[], T]) -> tuple[T | None, str]:
-        """(what ``work`` makes, ""), or (None, the photo's error in one line).
 
-        What would be wrong with every photo, a full disk or a damaged installation, is raised.
-        """
-        try:
-            return work(), ""
-        except (InputError, DependencyError) as fault:
-            error = str(fault).replace(str(self.path), self.source)
-        except SkylightError:
-            raise
-        except Exception as fault:
-            first = str(fault).partition("\n")[0]
-            error = f"{self.source}: internal error ({type(fault).__name__}: {first})"
-        return None, " ".join(error.split())
+def attempted(work: Callable[[], T], path: Path, source: str) -> tuple[T | None, str]:
+    """(what ``work`` makes, ""), or (None, the error of the photo at ``path`` in one line).
+
+    What would be wrong with every photo, a full disk or a damaged installation, is raised.
+    """
+    try:
+        return work(), ""
+    except (InputError, DependencyError) as fault:
+        error = str(fault).replace(str(path), source)
+    except SkylightError:
+        raise
+    except Exception as fault:
+        first = str(fault).partition("\n")[0]
+        error = f"{source}: internal error ({type(fault).__name__}: {first})"
+    return None, " ".join(error.split())
 
 
 def estimate_one(piece: Piece) -> Entry:

@@ -97,8 +97,8 @@ def _line(entry: Entry) -> str:
 def list_photos(photos: Path, out: Path) -> list[str]:
     """Paths of the pictures below ``photos``, from there on, sorted.
 
-    Left out are hidden ones, and the results of estimates: all in ``out`` where that is inside, and
-    whatever lies beside an ``estimate.json``.
+    Left out are hidden ones, and results: all in ``out`` where that is inside, and whatever lies
+    beside an ``estimate.json`` or below a folder with a :data:`MANIFEST`.
     """
     if not photos.is_dir():
         raise InputError(f"{photos}: there is no such folder; give one with pictures")
@@ -122,11 +122,20 @@ def left_out(photos: Path, out: Path) -> str:
 def _given(photos: Path, out: Path, suffixes: Collection[str] | None) -> list[str]:
     """Files below ``photos`` that are no results of estimates, from there on, sorted."""
     root, results = photos.resolve(), out.resolve()
-    found = []
+    found: list[str] = []
+    made: dict[Path, bool] = {}  # whether folders are, or lie in, those of a batch's results
+
+    def is_made(folder: Path) -> bool:
+        if folder == root:
+            return False
+        if folder not in made:
+            made[folder] = (folder / MANIFEST).exists() or is_made(folder.parent)
+        return made[folder]
+
     for path in visible_files(root, suffixes, recursive=True):
         is_result = root in results.parents and results in path.parents
         # reports of earlier estimates show the faces too
-        is_result = is_result or (path.parent / "estimate.json").exists()
+        is_result = is_result or (path.parent / "estimate.json").exists() or is_made(path.parent)
         if not is_result:
             found.append(path.relative_to(root).as_posix())
     return sorted(found)

@@ -114,7 +114,7 @@ def estimate_photo(
 
 @dataclass(frozen=True, kw_only=True)
 class Pictures:
-    """Photographs with one light, and what is known of it beforehand.
+    """Photographs with one light, their ``files`` where there are, and what is known beforehand.
 
     ``workers`` are the processes that trace light on the CPU, one per core where None. ``taken`` is
     the first one's time, place and heading, ``sun_prior`` what these tell, ``notes`` what to know
@@ -125,6 +125,7 @@ class Pictures:
     settings: EstimateSettings
     photos: tuple[Photo, ...]
     names: tuple[str, ...]
+    files: tuple[Path | None, ...]
     taken: CaptureMetadata
     sun_prior: SunPrior | None
     notes: tuple[str, ...]
@@ -157,6 +158,7 @@ class Pictures:
             settings=settings,
             photos=photos,
             names=names,
+            files=tuple(Path(one) if isinstance(one, str | Path) else None for one in images),
             taken=known,
             sun_prior=prior,
             notes=notes,
@@ -307,6 +309,8 @@ class Pictures:
             taken=self.taken,
             seconds=self.seconds,
             detail=self.settings.detail,
+            files=self.files,
+            decode=self.settings.decode,
         )
 
     @contextmanager

@@ -31,6 +31,7 @@ from skylight._figures import (
     white_of,
     write_numbers,
 )
+from skylight.estimation._kept import KeptFace, write_face
 from skylight.estimation._summary import (
     PhotoEstimate,
     describe,
@@ -386,13 +387,16 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
 
 
 # what `skylight estimate` writes of some photographs or films, and not of all
-SOME_FILES = re.compile(r"mesh(_[1-9][0-9]*)?\.obj|probe_[0-9]{3}\.exr|(film|estimate)\.json")
+SOME_FILES = re.compile(
+    r"mesh(_[1-9][0-9]*)?\.obj|probe_[0-9]{3}\.exr|(film|estimate)\.json|person\.safetensors"
+)
 
 
 def write_results(folder: Path, result: PhotoEstimate, *, keep_place: bool = False) -> None:
     """probe.exr, .hdr, .png, posterior.exr, mesh.obj, estimate.json, report.png of an estimate.
 
-    Several faces have a mesh each, mesh_1.obj and so on, in the order of estimate.json. Time,
+    Several faces have a mesh each, mesh_1.obj and so on, in the order of estimate.json. Of
+    a photograph that is a file, person.safetensors is what portraits are relit by. Time,
     place and heading are private, and stand in estimate.json only with ``keep_place``.
     """
     lights = json.dumps(describe_lights(result.estimate))
@@ -401,6 +405,8 @@ def write_results(folder: Path, result: PhotoEstimate, *, keep_place: bool = Fal
     write_json(folder / "estimate.json", describe(result, keep_place=keep_place))
     for name, seen in zip(mesh_names(result), result.seen, strict=True):
         write_mesh(folder / name, seen.fit)
+    if (face := KeptFace.of(result)).file is not None:
+        write_face(folder, face)
     first, *more = result.names
     title = Path(first).name + (f" and {len(more)} more" if more else "")
     if len(result.seen) == 1:

@@ -8,6 +8,7 @@ import platform
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,7 @@ from skylight.faces._fit import FaceFit
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._observe import FaceView
 from skylight.imaging._capture_metadata import CaptureMetadata
+from skylight.imaging._colour import Decode
 from skylight.imaging._photo import Photo
 from skylight.inverse._posterior import SHARE, SunPosterior
 from skylight.inverse._result import Estimate, FaceLight
@@ -69,7 +71,8 @@ class PhotoEstimate:
     ``photos`` and their ``names`` are all that were given; ``seen`` holds the faces of
     ``estimate.faces``, in their order; ``face``, ``fit`` and ``view`` are the first one's.
     ``taken`` is what was known of time, place and heading, which results do not repeat. ``detail``
-    is what ``probe`` shows beside the light.
+    is what ``probe`` shows beside the light. ``files`` are the photographs', None for those that
+    were given in memory, and ``decode`` is how they were read.
     """
 
     estimate: Estimate
@@ -79,6 +82,8 @@ class PhotoEstimate:
     taken: CaptureMetadata
     seconds: dict[str, float] = field(default_factory=dict)
     detail: DetailName = "none"
+    files: tuple[Path | None, ...] = ()
+    decode: Decode | None = None
 
     @cached_property
     def probe(self) -> EnvironmentMap:

@@ -3,6 +3,10 @@ from ._files import (
     relit_portrait as relit_portrait,
     write_relit as write_relit,
 )
+from ._keys import (
+    KEYS as KEYS,
+    key_light as key_light,
+)
 from ._lights import (
     NewLight as NewLight,
     light_of_map as light_of_map,

@@ -9,13 +9,13 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 from PIL import Image, ImageDraw, ImageFont
 
+from skylight.estimation._kept import KeptFace
 from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._colour import srgb_to_linear, tone_map
 from skylight.imaging._photo import Photo
-from skylight.inverse._result import Estimate
 from skylight.io._files import write_light, write_png
 from skylight.portrait._lights import NewLight
-from skylight.portrait._relit import FaceReflection, Keep, Portrait, light_in_photo, portrait_of
+from skylight.portrait._relit import Keep, Portrait, light_in_photo, portrait_of
 from skylight.work._progress import Progress
 from skylight.work._threads import cores
 
@@ -42,7 +42,7 @@ class RelitPortrait:
 
 
 def relit_portrait(
-    result: PhotoEstimate,
+    result: PhotoEstimate | KeptFace,
     light: NewLight,
     *,
     exposure: float = 1.0,
@@ -53,19 +53,21 @@ def relit_portrait(
 ) -> RelitPortrait:
     """The (first) face of an estimate and who it belongs to, in another light times ``exposure``.
 
+    An estimate that was written is read again by :func:`~skylight.estimation._kept.read_face`.
     ``keep`` is that of :meth:`~skylight.portrait._relit.Portrait.under`; ``portrait`` what
     :func:`taken_apart` made of the estimate, for several lights; ``workers`` are the processes that
     trace light otherwise, one per core where None.
     """
-    portrait = portrait or taken_apart(result, workers=workers or cores(), progress=progress)
+    face = KeptFace.of(result)
+    portrait = portrait or taken_apart(face, workers=workers or cores(), progress=progress)
     picture, used = portrait.under(light.environment, exposure, keep=keep)
     return RelitPortrait(
         picture=picture,
         photo=portrait.photo,
         exposure=used,
-        warning=warning_of(result.estimate),
+        warning=face.warning,
         notes=light.notes,
-        white=_white_of(result.photos[result.seen[0].photo]),
+        white=_white_of(face.photo),
     )
 
 
@@ -79,25 +81,16 @@ def _white_of(photo: Photo) -> float:
     return 1.0 if abs(ratio - 1) < _ROUNDED else ratio
 
 
-def warning_of(estimate: Estimate) -> str:
-    """Why not to trust a portrait that was lit by it; empty where nothing is against it."""
-    verdict = estimate.verdict
-    if verdict.doubt:
-        return f"the light that was found is {verdict.summary}"
-    if estimate.posterior.is_seen and verdict.direction.word == "unknown":
-        return f"the direction of the light that was found is {verdict.direction}"
-    return ""
-
-
 def taken_apart(
-    result: PhotoEstimate, *, workers: int = 1, progress: Progress | None = None
+    result: PhotoEstimate | KeptFace, *, workers: int = 1, progress: Progress | None = None
 ) -> Portrait:
     """The (first) face's photograph as a :class:`~skylight.portrait._relit.Portrait`."""
+    face = KeptFace.of(result)
     return portrait_of(
-        result.photos[result.seen[0].photo],
-        result.fit,
-        FaceReflection.of(result.estimate, result.view.observation),
-        light_in_photo(result.estimate),
+        face.photo,
+        face.fit,
+        face.reflection,
+        light_in_photo(face),
         workers=workers,
         progress=progress,
     )

@@ -11,8 +11,9 @@ from torch import Tensor
 
 from skylight._names import PLAIN_READING, MapReading
 from skylight.errors import InputError
+from skylight.estimation._kept import FoundLight
 from skylight.inverse._lamp_relighting import lamps_radiance
-from skylight.inverse._result import Estimate, Lamp
+from skylight.inverse._result import Lamp
 from skylight.io._files import read_environment_map
 from skylight.portrait._relit import light_in_photo
 from skylight.relight._lamps import split_main_light, without_lamps
@@ -60,7 +61,7 @@ def light_of_map(path: Path, reading: MapReading = PLAIN_READING) -> NewLight:
     return NewLight(environment=environment)
 
 
-def rotated_light(estimate: Estimate, turn_deg: float) -> NewLight:
+def rotated_light(estimate: FoundLight, turn_deg: float) -> NewLight:
     """The light found, rotated about the vertical: positive angles move it to the right ahead."""
     return NewLight(environment=light_in_photo(estimate).rotate_azimuth(math.radians(turn_deg)))
 
@@ -85,7 +86,7 @@ class MovableSun:
     spread_rad: float | None = None
 
     @staticmethod
-    def of(estimate: Estimate) -> "MovableSun":
+    def of(estimate: FoundLight) -> "MovableSun":
         spread_rad = None
         if estimate.lamps:
             main = estimate.lamps[0]
@@ -125,7 +126,7 @@ class MovableSun:
 
 
 def light_with_sun_at(
-    estimate: Estimate, azimuth_deg: float, elevation_deg: float, strength: float | None = None
+    estimate: FoundLight, azimuth_deg: float, elevation_deg: float, strength: float | None = None
 ) -> NewLight:
     """The light found, with its sun (or its main lamp) at another place.
 

@@ -33,16 +33,15 @@ from numpy import ndarray
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.estimation._kept import FaceReflection, FoundLight
 from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel, Region
 from skylight.faces._observe import SKIN_SPECULAR, hair_of
 from skylight.faces._segmentation import person_matte
 from skylight.imaging._edits import UNEDITED, Edit
 from skylight.imaging._photo import Photo
-from skylight.inverse._result import Estimate
 from skylight.portrait._surface import BUST, FACE_PX, HAIR, PersonSurface
 from skylight.sphere._envmap import LUMINANCE, EnvironmentMap, luminance
-from skylight.transport._observation import Observation
 from skylight.work._progress import Progress
 
 
@@ -309,29 +308,6 @@ def _resized(picture: Float[ndarray, "p q c"], size: tuple[int, int]) -> Float[n
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class FaceReflection:
-    """What an estimate tells of a face beside its light.
-
-    ``edit`` is what was done to its photograph. ``specular_scale`` is that of
-    :class:`~skylight.inverse._result.FaceLight`; by ``head_error``, pose and shape are off, as
-    :func:`~skylight.faces._normal_errors.normal_changes` takes it.
-    """
-
-    specular_scale: float
-    head_error: Float[Tensor, " d"] | None
-    edit: Edit = UNEDITED
-
-    @staticmethod
-    def of(estimate: Estimate, seen: Observation) -> "FaceReflection":
-        """The (first) face's, which was ``seen``."""
-        face, modes = estimate.faces[0], seen.normal_modes
-        error = None
-        if face.turns is not None and modes is not None and modes.axes is not None:
-            error = modes.axes @ face.turns.to(modes.axes)
-        return FaceReflection(specular_scale=face.specular_scale, head_error=error, edit=face.edit)
-
-
 def portrait_of(
     photo: Photo,
     fit: FaceFit,
@@ -378,7 +354,7 @@ def portrait_of(
     )
 
 
-def light_in_photo(estimate: Estimate, light: EnvironmentMap | None = None) -> EnvironmentMap:
+def light_in_photo(estimate: FoundLight, light: EnvironmentMap | None = None) -> EnvironmentMap:
     """The light found (or one like it) in the colours and units of the (first) face's photograph.
 
     An estimate's map has the light's own colours; the photograph shows them times its white

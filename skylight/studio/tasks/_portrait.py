@@ -1,23 +1,23 @@
-"""A person taken apart for a page that moves the sun: shading and transport, without the light.
+"""A person taken apart for a page that moves the key light: shading and transport, without light.
 
 The page adds, at each of the m points of the person's surface, to the shading S_0 and specular
-reflection g_0 by all light but the sun's ::
+reflection g_0 by the fill (:mod:`skylight.portrait._keys`) a key light's, of irradiance E on what
+faces it and g its lobe ::
 
-    S = S_0 + E / pi V(d) <n, d>+,     g = g_0 + specular_scale E V(d) <n, d>+ f_s(n, d, v),
+    S = f S_0 + E / pi T,    T = sum_w g(w) V(w) <n, w>+ dw,
+    g = f g_0 + specular_scale E T f_s(n, d, v),
 
-for a sun of irradiance E at d, and goes on as :mod:`skylight.portrait._relit` does. V(d) is
-interpolated between the four nearest of 32 x 64 directions, so shadows have penumbras of 5.6
-degrees.
+f_s being as much rougher as the lobe is wide, and goes on as :mod:`skylight.portrait._relit` does.
+V is that of 32 x 64 directions, so no shadow has a penumbra of less than 5.6 degrees.
 
 Of every estimate is kept what its person can be taken apart from later, without estimating again
-(:class:`KeptPerson`): fit, reflection and light are stored exactly, so the portrait is the one that
-the estimate itself would have given.
+(:mod:`skylight.estimation._kept`).
 """
 
 import json
 import math
 import shlex
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,54 +29,43 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from skylight._names import LightName, Place
+from skylight.estimation._kept import KeptFace, read_face, write_face
 from skylight.estimation._summary import PhotoEstimate
 from skylight.faces._fit import FaceFit
 from skylight.faces._observe import SKIN_SPECULAR
 from skylight.imaging._colour import linear_to_srgb
-from skylight.imaging._edits import Edit
 from skylight.imaging._photo import Photo
-from skylight.io._tensors import read_tensors, write_tensors
-from skylight.portrait._files import KNEE, warning_of
-from skylight.portrait._lights import MovableSun
+from skylight.io._bounded import json_content, write_json
+from skylight.io._tensors import write_tensors
+from skylight.portrait._files import KNEE
+from skylight.portrait._keys import (
+    KEY_OVER_FILL,
+    KEYS,
+    METERED,
+    USUAL_DEG,
+    ball_weights,
+    brightness_of_ball,
+    direction_seen,
+    fill_of,
+)
 from skylight.portrait._relit import (
     BASE,
     BRIGHTEST,
     DARK,
     HAIR_COUNTS,
     SOFT,
-    FaceReflection,
     Portrait,
     coarse_power,
     light_in_photo,
     portrait_of,
 )
 from skylight.portrait._surface import scaled
-from skylight.sphere._envmap import EnvironmentMap, luminance
-from skylight.sphere._frame import angles_from_direction
+from skylight.sphere._envmap import luminance
 from skylight.studio.tasks._uploads import open_photo
-from skylight.transport._cameras import Camera
 from skylight.work._progress import StageProgress
 from skylight.work._threads import cores
 
-KEPT = "person.safetensors"
-_OF_FIT = ("rotation", "translation", "identity", "expression", "vertices")
-
-
-@dataclass(frozen=True, kw_only=True)
-class KeptPerson:
-    """The (first) face of an estimate; ``found`` and ``sun`` are in its photograph's units.
-
-    ``facts`` are for the page: ``command``, the words of a command line up to its sun;
-    ``is_alone``, whether the light is that of this face only; ``is_lamp``; ``was_found``;
-    ``strength``, the sun's luminance as a multiple of the rest's on a horizontal surface, None
-    where that is black; ``warning``.
-    """
-
-    fit: FaceFit
-    reflection: FaceReflection
-    found: EnvironmentMap
-    sun: MovableSun
-    facts: dict[str, Any]
+COMMAND = "command.json"  # what :func:`command_of` tells
 
 
 def command_of(
@@ -87,7 +76,8 @@ def command_of(
     network: str | None = None,
     place: Place = "auto",
 ) -> dict[str, Any]:
-    """``command`` and ``is_alone`` of :class:`KeptPerson`."""
+    """``command``, the words of a command line up to its light, and ``is_alone``, whether the
+    light is that of this face only."""
     words = ["skylight", "relight-portrait", name, "--light", light]
     words += [] if place == "auto" else ["--place", place]
     words += [] if face in (1, "all") else ["--face", str(face)]
@@ -97,78 +87,9 @@ def command_of(
 
 
 def keep_person(folder: Path, result: PhotoEstimate, command: dict[str, Any]) -> None:
-    """Write what :func:`kept_person` reads."""
-    fit, estimate = result.fit, result.estimate
-    sun = MovableSun.of(estimate)
-    reflection = FaceReflection.of(estimate, result.view.observation)
-    tensors = {name: torch.from_numpy(getattr(fit, name)) for name in _OF_FIT}
-    tensors |= {
-        "camera": torch.tensor(
-            [fit.camera.focal_px, fit.camera.width, fit.camera.height, *fit.camera.center_px],
-            dtype=torch.float64,
-        ),
-        "found": light_in_photo(estimate).radiance,
-        "rest": sun.rest.radiance,
-        "direction": sun.direction.double(),
-        "irradiance": sun.irradiance,
-    }
-    if fit.covariance is not None:
-        tensors["covariance"] = torch.from_numpy(fit.covariance)
-    if reflection.head_error is not None:
-        tensors["head_error"] = reflection.head_error
-    facts = command | {
-        "is_lamp": bool(estimate.lamps),
-        "was_found": sun.was_found,
-        "strength": float(luminance(sun.irradiance)) / sun.level if sun.level > 0 else None,
-        "level": sun.level,
-        "spread_rad": sun.spread_rad,
-        "gloss": reflection.specular_scale,
-        "edit": asdict(reflection.edit),
-        "landmark_error": fit.landmark_error,
-        "converged": fit.converged,
-        "warning": warning_of(estimate),
-    }
-    write_tensors(folder / KEPT, tensors, {"facts": json.dumps(facts)})
-
-
-def kept_person(folder: Path) -> KeptPerson:
-    """What :func:`keep_person` wrote."""
-    tensors, metadata = read_tensors(folder / KEPT)
-    facts = json.loads(metadata["facts"])
-    focal_px, width, height, *center_px = tensors["camera"].tolist()
-    camera = Camera(
-        focal_px=focal_px,
-        width=int(width),
-        height=int(height),
-        center_px=(center_px[0], center_px[1]),
-    )
-    covariance: Tensor | None = tensors.get("covariance")
-    fit = FaceFit(
-        camera=camera,
-        landmark_error=facts.pop("landmark_error"),
-        converged=facts.pop("converged"),
-        covariance=None if covariance is None else covariance.numpy(),
-        **{name: tensors[name].numpy() for name in _OF_FIT},
-    )
-    sun = MovableSun(
-        direction=tensors["direction"],
-        irradiance=tensors["irradiance"],
-        rest=EnvironmentMap(radiance=tensors["rest"]),
-        level=facts.pop("level"),
-        spread_rad=facts.pop("spread_rad"),
-        was_found=facts["was_found"],
-    )
-    return KeptPerson(
-        fit=fit,
-        reflection=FaceReflection(
-            specular_scale=facts.pop("gloss"),
-            head_error=tensors.get("head_error"),
-            edit=Edit(**facts.pop("edit")),
-        ),
-        found=EnvironmentMap(radiance=tensors["found"]),
-        sun=sun,
-        facts=facts,
-    )
+    """Write what :func:`take_apart` goes on from."""
+    write_face(folder, KeptFace.of(result))
+    write_json(folder / COMMAND, command)
 
 
 FILE = "portrait.safetensors"
@@ -183,43 +104,44 @@ def take_apart(
 ) -> dict[str, Any]:
     """Write :data:`FILE`, of the estimate in the folder ``estimate``; nothing to tell."""
     tell("reading the picture", 0.0)
-    person = kept_person(Path(estimate))
-    photo, fit = _smaller(open_photo(Path(path), name, pixels), person.fit)
+    face = read_face(Path(estimate), open_photo(Path(path), name, pixels))
+    photo, fit = _smaller(face.photo, face.fit)
     tell("tracing light", 0.0)
     portrait = portrait_of(
         photo,
         fit,
-        person.reflection,
-        person.found,
+        face.reflection,
+        light_in_photo(face),
         face_px=FACE_PX,
         workers=cores(),
         progress=lambda share: tell("tracing light", share),
     )
     tell("writing the results", 0.0)
-    tensors, facts = packed(portrait, person)
+    tensors, facts = packed(portrait, face)
+    facts |= json_content(Path(estimate) / COMMAND)
     write_tensors(Path(folder) / FILE, tensors, {"facts": json.dumps(facts)})
     return {}
 
 
-def packed(portrait: Portrait, person: KeptPerson) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Tensors and numbers for the page, in the photograph's units.
 
     ``picture`` (h,w,4) has the photograph's sRGB codes, cut off at white, and its matte. ``crop``
     (left, top, width, height) is the part of the shading's picture, ``size`` (width, height), that
     holds person and surface; ``places`` (m,) are the points' in it. ``visible`` (m,256) has a bit
     for each of 32 x 64 directions, the lowest first. ``found_power`` and ``rest_power`` are
-    :func:`~skylight.portrait._relit.coarse_power`; ``rest_map`` is to be looked at.
+    :func:`~skylight.portrait._relit.coarse_power`; ``rest_map`` is to be looked at. The rest of
+    the light is R of :mod:`skylight.portrait._keys`, whose c and B are ``colour`` and ``fill``;
+    ``ball`` is how bright the light found makes the ball, ``metered`` its weight of the key light.
     """
-    surface, sun = portrait.person.surface, person.sun
-    rest_shading, rest_specular = portrait.shaded_by(sun.rest)
+    surface, rest = portrait.person.surface, fill_of(face)
+    rest_shading, rest_specular = portrait.shaded_by(rest)
     rows, columns = np.nonzero(portrait.covered)  # row by row, as the surface has them
     left, top, width, height = _crop(portrait)
     codes = (linear_to_srgb(torch.from_numpy(portrait.photo).clamp(0, 1)) * 255).round()
     matte = torch.from_numpy(portrait.matte * 255).round()
-    irradiance = sun.irradiance
-    if portrait.grey:
-        irradiance = luminance(irradiance).expand(3)
-    azimuth, zenith = angles_from_direction(sun.direction)
+    colour = portrait.found.integrate().double()
+    colour = torch.ones(3) if portrait.grey else colour / luminance(colour)
     of_points = {
         "shading": portrait.shading,
         "glossy": portrait.specular,
@@ -236,18 +158,22 @@ def packed(portrait: Portrait, person: KeptPerson) -> tuple[dict[str, Tensor], d
         "views": -normalize(surface.positions, dim=1).float(),
         "visible": _bits(portrait.person.sight.visible),
         "found_power": coarse_power(portrait.found).float(),
-        "rest_power": coarse_power(sun.rest).float(),
-        "rest_map": sun.rest.resize(min(_MAP_ROWS, sun.rest.layout[0])).radiance,
+        "rest_power": coarse_power(rest).float(),
+        "rest_map": rest.resize(min(_MAP_ROWS, rest.layout[0])).radiance,
     }
     tensors |= {
         name: torch.from_numpy(image[rows, columns]).float() for name, image in of_points.items()
     }
-    facts = person.facts | {
+    facts = {
+        "warning": face.warning,
         "size": portrait.covered.shape[::-1],
         "crop": [left, top, width, height],
-        "sun": {"azimuth_deg": math.degrees(azimuth), "zenith_deg": math.degrees(zenith)},
-        "irradiance": irradiance.tolist(),
-        "map_rows": sun.rest.layout[0],
+        "keys": dict(KEYS),
+        "usual": {"size_deg": USUAL_DEG, "strength": KEY_OVER_FILL},
+        "colour": colour.tolist(),
+        "fill": brightness_of_ball(rest),
+        "ball": brightness_of_ball(portrait.found),
+        "metered": float(ball_weights(direction_seen(*METERED))),
         "gloss": portrait.specular_scale,
         "lobe": {"f0": SKIN_SPECULAR.f0, "alpha": SKIN_SPECULAR.alpha},
         "soft_px": SOFT * portrait.person.face_px,

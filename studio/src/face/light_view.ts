@@ -11,8 +11,6 @@ import { inWordsOf, sentence } from "./verdict";
 
 /** An estimate's light: elements for the page to arrange. */
 export interface LightView {
-  /** What the strongest light is called. */
-  main: "main lamp" | "sun";
   /** The panorama with its legend; `panorama` is the part that lies over the picture. */
   figure: HTMLElement;
   panorama: HTMLElement;
@@ -59,7 +57,6 @@ export function lightView(
     ? `Middle: where the camera looks. Ring: the ${main} as found${result.lamps.length > 1 ? ", white the others" : ""}. Line: where it stands with about ${Math.round(100 * result.posterior.share)} % certainty.`
     : "Middle: where the camera looks. Ring: the brightest place; no sun was seen.";
   return {
-    main,
     figure: el("figure", { class: "result-map" }, view.element, el("figcaption", {}, legend)),
     panorama: view.element,
     balls: shown.element,

@@ -21,7 +21,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
     loadRadianceMap(fileUrl(job.job, "posterior.exr")),
   ]);
   const view = lightView(title, result, map, result.posterior.is_seen ? density : null);
-  const relit = relitPanel(job.job, title, view.main);
+  const relit = relitPanel(job.job, title);
   const element = el(
     "article",
     { class: "card stack result", "aria-label": title },

@@ -1,4 +1,4 @@
-"""The portrait of an estimate with its sun dragged, in a real browser.
+"""The portrait of an estimate with its key light dragged, in a real browser.
 
 The person was taken apart by the test, as the server's worker does; the page is the real one.
 """
@@ -18,7 +18,7 @@ from PIL import Image
 
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.portrait._files import relit_portrait, shown, taken_apart
-from skylight.portrait._lights import light_with_sun_at
+from skylight.portrait._keys import KEY_OVER_FILL, KEYS, SOFT_DEG, USUAL_DEG, key_light
 from tests.studio.browser.pictures import pixels
 from tests.studio.browser.test_browser import LINE, picture
 from tests.studio.browser.test_browser_access import CONTRASTS, NAMELESS, OVERFLOW
@@ -30,12 +30,11 @@ pytestmark = pytest.mark.slow
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-MOVE = "Move the sun in the portrait"
+MOVE = "Relight the portrait"
 CANVAS = ".relit"
-_SHOWS = """([azimuth, zenith, times]) => {
-    const [a, z, t] = JSON.parse(document.querySelector(".relit")?.dataset.shows ?? "[]");
-    const near = (x, y) => Math.abs(x - y) < 1e-6;
-    return near(a, azimuth) && near(z, zenith) && near(t, times);
+_SHOWS = """wanted => {
+    const shown = JSON.parse(document.querySelector(".relit")?.dataset.shows ?? "[]");
+    return shown.length > 0 && wanted.every((x, k) => Math.abs(x - shown[k]) < 1e-6);
 }"""
 
 
@@ -51,11 +50,11 @@ def opened(page: "Page") -> None:
     page.locator(f"{CANVAS}[data-shows]").wait_for()
 
 
-def sun(page: "Page") -> tuple[float, float, float]:
-    """Azimuth, zenith (degrees) and times its strength, as the canvas shows it."""
+def key(page: "Page") -> tuple[float, float, float, float]:
+    """Azimuth and zenith in the map, strength and width (degrees), as the canvas shows them."""
     told = page.evaluate("() => document.querySelector('.relit').dataset.shows")
-    azimuth, zenith, times = json.loads(told)
-    return azimuth, zenith, times
+    azimuth, zenith, strength, size = json.loads(told)
+    return azimuth, zenith, strength, size
 
 
 def relit(page: "Page") -> Int[np.ndarray, "h w 3"]:
@@ -66,8 +65,9 @@ def relit(page: "Page") -> Int[np.ndarray, "h w 3"]:
 
 
 def drag_to(page: "Page", azimuth_deg: float, elevation_deg: float) -> None:
-    """The sun to about that place of the panorama."""
-    handle, frame = page.get_by_role("button", name="Sun: "), page.locator(".relit-grid .panorama")
+    """The key light to about that place of the panorama."""
+    handle = page.get_by_role("button", name="Key light: ")
+    frame = page.locator(".relit-grid .panorama")
     handle.scroll_into_view_if_needed()
     box, around = handle.bounding_box(), frame.bounding_box()
     assert box is not None
@@ -88,25 +88,26 @@ def drag_to(page: "Page", azimuth_deg: float, elevation_deg: float) -> None:
     )
 
 
-def test_the_sun_is_dragged_and_the_person_follows_as_the_command_has_it(
+def test_the_key_is_dragged_and_the_person_follows_as_the_command_has_it(
     found: "Page", tmp_path: Path, pictures: Path
 ) -> None:
     page = found
     opened(page)
-    expect(page.get_by_role("button", name="Sun: ")).to_be_focused()
-    as_found, first = sun(page), relit(page)
+    expect(page.get_by_role("button", name="Key light: ")).to_be_focused()
+    as_found, first = key(page), relit(page)
+    assert as_found == pytest.approx((-130.0, 60.0, KEY_OVER_FILL, USUAL_DEG))  # from the left
 
-    # as the command, wherever the sun is; and how far that is from the photograph
+    # as the command, wherever the light is; and how far that is from the photograph
     result = apart().result
     portrait = taken_apart(result)
     seen = result.photos[0].encoded.astype(int)
     person, skin = portrait.matte > 0.5, portrait.skin > 0.5
     behind = read_tensors(apart().file)[0]["picture"][..., 3].numpy() == 0
     sides = []
-    for azimuth, elevation in ((-70.0, 30.0), (60.0, 55.0), (170.0, 40.0)):
+    for azimuth, elevation in ((-110.0, 30.0), (120.0, 55.0), (10.0, 40.0)):
         drag_to(page, azimuth, elevation)
-        now, there = relit(page), sun(page)
-        light = light_with_sun_at(result.estimate, there[0], 90 - there[1])
+        now, (there, zenith, *_) = relit(page), key(page)
+        light = key_light(result.estimate, (180.0 - there, 90.0 - zenith))
         want = shown(relit_portrait(result, light, keep="place", portrait=portrait)).astype(int)
         assert np.abs(now - want)[skin].mean() < 3, azimuth
         assert np.abs(now - want)[person].mean() < 3, azimuth
@@ -115,32 +116,33 @@ def test_the_sun_is_dragged_and_the_person_follows_as_the_command_has_it(
         columns = np.nonzero(skin)[1]
         left = skin & (np.arange(skin.shape[1]) < np.median(columns))
         sides.append(now[left].mean() - now[skin & ~left].mean())
-    assert sides[0] > 10 > -10 > sides[1]  # the bright side is the sun's
+    assert sides[0] > 10 > -10 > sides[1]  # the bright side is the light's
 
     # by keys, by a degree and by ten; said by a screen reader's words
-    azimuth, zenith, _ = sun(page)
-    page.get_by_role("button", name="Sun: ").focus()
+    azimuth, zenith, *usual = key(page)
+    page.get_by_role("button", name="Key light: ").focus()
     page.keyboard.press("ArrowLeft")
     page.keyboard.press("Shift+ArrowUp")
-    page.wait_for_function(_SHOWS, arg=[azimuth - 1, zenith - 10, 1])
+    page.wait_for_function(_SHOWS, arg=[azimuth - 1, zenith - 10, *usual])
     page.get_by_role("status").get_by_text("azimuth").wait_for()
-    for _ in range(20):  # it does not set
-        page.keyboard.press("Shift+ArrowDown")
-    page.wait_for_function(_SHOWS, arg=[azimuth - 1, 89, 1])
 
-    # without sun it is darker; the command says so too
-    drag_to(page, 60.0, 40.0)
-    bright = relit(page)[skin].mean()
-    strength = page.get_by_label("Strength of the sun")
-    strength.fill("0")
+    # by name; without it the picture is flat, and the command says so too
+    for name, (to_right, elevation) in KEYS.items():
+        page.get_by_role("button", name=name.capitalize(), exact=True).click()
+        turned = (180.0 - to_right + 180.0) % 360.0 - 180.0
+        page.wait_for_function(_SHOWS, arg=[turned, 90.0 - elevation, *usual])
+    page.get_by_label("Softness of the key light").fill(str(SOFT_DEG))
+    page.wait_for_function(_SHOWS, arg=[turned, 90.0 - elevation, KEY_OVER_FILL, SOFT_DEG])
+    page.get_by_label("Strength of the key light").fill("0")
     page.wait_for_function(
         "() => JSON.parse(document.querySelector('.relit').dataset.shows)[2] === 0"
     )
-    assert relit(page)[skin].mean() < bright - 5
     words = shlex.split(page.locator(".command code").text_content() or "")
     assert words[:3] == ["skylight", "relight-portrait", PHOTO]
     assert "--light" in words
-    assert words[words.index("--strength") + 1] == "0.000"
+    assert words[words.index("--strength") + 1] == "0"
+    assert words[words.index("--size") + 1] == "40"
+    assert f"--angle={to_right:.1f},{elevation:.1f}" in words
 
     # before and after, while a button is held; saved as it is seen
     hold = page.get_by_role("button", name="Hold: as photographed")
@@ -152,7 +154,12 @@ def test_the_sun_is_dragged_and_the_person_follows_as_the_command_has_it(
     page.keyboard.up("Space")
     expect(hold).to_have_attribute("aria-pressed", "false")
     np.testing.assert_array_equal(relit(page), after)
-    with page.expect_download() as download:
+    page.get_by_label("Before and after").fill("50")
+    half = relit(page)
+    middle = half.shape[1] // 2
+    np.testing.assert_array_equal(half[:, : middle - 1], seen[:, : middle - 1])
+    np.testing.assert_array_equal(half[:, middle + 1 :], after[:, middle + 1 :])
+    with page.expect_download() as download:  # all of it
         page.locator(".relit-grid").get_by_role("button", name="Save this picture").click()
     assert download.value.suggested_filename == "relit.png"
     download.value.save_as(tmp_path / "relit.png")
@@ -168,18 +175,18 @@ def test_the_sun_is_dragged_and_the_person_follows_as_the_command_has_it(
     assert page.evaluate(NAMELESS) == []
     texts = [text for ratio, text in page.evaluate(CONTRASTS) if ratio < 4.5]
     assert [text for text in texts if "lamp-handle" not in text] == []  # white on the panorama
-    drag_to(page, -70.0, 30.0)
+    drag_to(page, -110.0, 30.0)
     picture(page.locator(".relit-grid"), pictures / "studio_relit.png")
     page.set_viewport_size({"width": 360, "height": 740})
     page.wait_for_function("innerWidth === 360")
     assert page.evaluate(OVERFLOW) == 0
 
 
-def test_while_the_sun_moves_no_more_pixels_are_drawn_than_the_screen_shows(found: "Page") -> None:
+def test_while_the_light_moves_only_what_the_screen_shows_is_drawn(found: "Page") -> None:
     page = found
     opened(page)
     page.locator(".relit-grid figure").first.evaluate("all => { all.style.width = '160px'; }")
-    as_found, before = sun(page), relit(page)
+    as_found, before = key(page), relit(page)
     page.evaluate(
         """() => {
             const canvas = document.querySelector(".relit");
@@ -205,7 +212,6 @@ def test_a_warning_is_shown_and_saved_with_the_picture(found: "Page", tmp_path: 
     tensors, metadata = read_tensors(apart().file)
     facts = json.loads(metadata["facts"]) | {
         "warning": "the light that was found is unreliable",
-        "was_found": False,
         "is_alone": False,
     }
     write_tensors(tmp_path / apart().file.name, tensors, {"facts": json.dumps(facts)})
@@ -213,7 +219,6 @@ def test_a_warning_is_shown_and_saved_with_the_picture(found: "Page", tmp_path: 
     opened(page)
     figure = page.locator(".relit-grid figure").first
     expect(figure.get_by_text("Take care: the light that was found is unreliable.")).to_be_visible()
-    expect(figure.get_by_text("No sun was found: one is added")).to_be_visible()
     expect(page.get_by_text("the light of this face alone")).to_be_visible()
     with page.expect_download() as download:
         page.locator(".relit-grid").get_by_role("button", name="Save this picture").click()

@@ -7,22 +7,22 @@ import { jobPanel } from "../../shared/job_panel";
 import { panorama } from "../../shared/panorama";
 import { whiteLevel } from "../../shared/radiance_map";
 import { lampHandles } from "../lamp_handles";
+import { KeyLight } from "./key_light";
 import { readPerson, type Facts, type Person } from "./person";
 import { RelitPicture } from "./picture";
-import { SunLight } from "./sun_light";
 
 const FILE = "portrait.safetensors";
-const MOST_TIMES = 4;
-const LOWEST_SUN = 89; // zenith angle: a sun that has set lights nobody
+const MOST_STRENGTH = 16;
+const SIZES_DEG = [5, 60] as const;
 
 /**
- * The photographed person of an estimate, with its `main` light ("sun" or "main lamp") to be moved.
+ * The photographed person of an estimate under a key light that is to be moved, over a dim fill.
  * The person is taken apart when the user asks for it: it takes some seconds.
  */
-export function relitPanel(job: string, title: string, main: string): { element: HTMLElement; leave: () => void } {
+export function relitPanel(job: string, title: string): { element: HTMLElement; leave: () => void } {
   const work = jobPanel();
   const alert = alertBox();
-  const begin = el("button", { type: "button" }, `Move the ${main} in the portrait`);
+  const begin = el("button", { type: "button" }, "Relight the portrait");
   const place = el("div", { class: "stack" }, el("div", { class: "row" }, begin), work.element, alert.element);
   let picture: RelitPicture | null = null;
   let isLeft = false;
@@ -36,7 +36,7 @@ export function relitPanel(job: string, title: string, main: string): { element:
       const person = readPerson(await getBytes(fileUrl(done.job, FILE)));
       forgetJob(done.job); // all of it is here now
       if (isLeft) return;
-      const view = relitView(person, title, main);
+      const view = relitView(person, title);
       picture = view.picture;
       place.replaceChildren(view.element);
       view.focus();
@@ -48,7 +48,7 @@ export function relitPanel(job: string, title: string, main: string): { element:
   return {
     element: el(
       "section",
-      { class: "stack lamps", "aria-label": `The portrait with its ${main} moved: ${title}` },
+      { class: "stack lamps", "aria-label": `The portrait relit: ${title}` },
       el("h4", {}, "The portrait relit"),
       place,
     ),
@@ -60,80 +60,102 @@ export function relitPanel(job: string, title: string, main: string): { element:
   };
 }
 
-function relitView(
-  person: Person,
-  title: string,
-  main: string,
-): { element: HTMLElement; picture: RelitPicture; focus: () => void } {
+function relitView(person: Person, title: string): { element: HTMLElement; picture: RelitPicture; focus: () => void } {
   const { facts } = person;
   const { width, height } = person.picture;
   const canvas = el("canvas", { class: "picture relit", role: "img" });
   // as large as the picture would be, however many pixels it has just now
   canvas.style.width = `min(${width}px, ${(75 * width) / height}vh)`;
   canvas.style.aspectRatio = `${width} / ${height}`;
-  const light = new SunLight(person);
+  const light = new KeyLight(person);
   const picture = new RelitPicture(canvas, person, light);
-  const lowest = facts.is_lamp ? 180 : LOWEST_SUN;
-  const found = { ...facts.sun, zenith_deg: Math.min(facts.sun.zenith_deg, lowest) };
-  const sun = { ...found, on: true };
-  let times = 1;
+  const key = { ...inMap(facts.keys.left!), on: true };
+  let { size_deg, strength } = facts.usual;
 
   let asked = 0;
   const draw = (): void => {
     asked = 0;
-    picture.draw(light.under(sun.azimuth_deg, sun.zenith_deg, times));
-    canvas.setAttribute("aria-label", `The portrait, its ${main} ${inWords(sun.azimuth_deg, sun.zenith_deg)}`);
-    canvas.dataset.shows = JSON.stringify([sun.azimuth_deg, sun.zenith_deg, times]);
+    picture.draw(light.under(key.azimuth_deg, key.zenith_deg, strength, size_deg));
+    canvas.setAttribute("aria-label", `The portrait, its key light ${inWords(key.azimuth_deg, key.zenith_deg)}`);
+    canvas.dataset.shows = JSON.stringify([key.azimuth_deg, key.zenith_deg, strength, size_deg]);
   };
   const command = el("code", {});
   const changed = (): void => {
-    command.textContent = commandOf(facts, sun, times);
-    asked ||= requestAnimationFrame(draw); // once a frame, however fast the sun moves
+    command.textContent = commandOf(facts, key, strength, size_deg);
+    asked ||= requestAnimationFrame(draw); // once a frame, however fast the light moves
   };
 
   const said = el("p", { class: "visually-hidden", role: "status" });
-  const map = panorama(`${title}: the light around the camera without its ${main}`);
+  const map = panorama(`${title}: the fill light around the camera`);
   map.setMap(person.restMap);
   map.setExposure(1 / whiteLevel(person.restMap));
-  const mark = facts.is_lamp ? "1" : "☀";
-  const name = main.charAt(0).toUpperCase() + main.slice(1);
   const say = (line: string): void => {
     said.textContent = line;
   };
-  const handles = lampHandles(map.element, [sun], changed, say, () => [name, mark], lowest);
+  const handles = lampHandles(map.element, [key], changed, say, () => ["Key light", "☀"]);
+  const presets = Object.entries(facts.keys).map(([name, place]) => {
+    const button = el("button", { type: "button" }, name.charAt(0).toUpperCase() + name.slice(1));
+    button.addEventListener("click", () => {
+      Object.assign(key, inMap(place));
+      handles.place();
+      changed();
+    });
+    return button;
+  });
 
-  const strength = slider({
-    label: `Strength of the ${main}`,
+  const strengths = slider({
+    label: "Strength of the key light",
     min: 0,
-    max: MOST_TIMES,
-    step: 0.05,
-    value: 1,
-    words: (value) => `${value.toFixed(2)} × ${facts.was_found ? "found" : "added"}`,
+    max: MOST_STRENGTH,
+    step: 0.25,
+    value: strength,
+    words: (value) => `${value.toFixed(2)} × the fill`,
     changed: (value) => {
-      times = value;
+      strength = value;
       changed();
     },
   });
-  strength.element.hidden = facts.strength === null; // a multiple of nothing
+  const softness = slider({
+    label: "Softness of the key light",
+    min: SIZES_DEG[0],
+    max: SIZES_DEG[1],
+    step: 1,
+    value: size_deg,
+    words: (value) => `${value}° wide`,
+    changed: (value) => {
+      size_deg = value;
+      changed();
+    },
+  });
+  const wipe = slider({
+    label: "Before and after",
+    min: 0,
+    max: 100,
+    step: 1,
+    value: 0,
+    words: (value) => `${value} % as photographed`,
+    changed: (value) => picture.show(value / 100),
+  });
   const reset = el("button", { type: "button" }, "Reset");
   reset.addEventListener("click", () => {
-    Object.assign(sun, found);
-    times = 1;
-    strength.set(1);
+    Object.assign(key, inMap(facts.keys.left!));
+    ({ size_deg, strength } = facts.usual);
+    strengths.set(strength);
+    softness.set(size_deg);
+    wipe.set(0);
+    picture.show(0);
     handles.place();
     changed();
   });
   const save = el("button", { type: "button" }, "Save this picture");
   save.addEventListener("click", () => {
-    picture.show(false); // at its own size
+    picture.show(0); // all of it, at its own size
     savePicture(canvas, facts.warning);
+    picture.show(wipe.value / 100);
   });
 
   const help = freshId("help");
-  const notes = [
-    ...(facts.warning ? [`Take care: ${facts.warning}.`] : []),
-    ...(facts.was_found ? [] : ["No sun was found: one is added, as strong as under a clear sky."]),
-  ].map((line) => el("p", { class: "care" }, line));
+  const notes = facts.warning ? [el("p", { class: "care" }, `Take care: ${facts.warning}.`)] : [];
   const alone = facts.is_alone
     ? "The same at full resolution, in the terminal:"
     : "At full resolution, in the terminal (the light of this face alone, so a little different):";
@@ -150,10 +172,13 @@ function relitView(
           "figure",
           {},
           map.element,
-          el("figcaption", { id: help }, `Drag the ${main}, or move it by the arrow keys. Middle: where the camera looks.`),
+          el("figcaption", { id: help }, "Drag the key light, or move it by the arrow keys. Middle: where the camera looks; either end: at the camera."),
         ),
-        strength.element,
-        el("div", { class: "row" }, holdButton(picture), reset, save),
+        el("div", { class: "row", role: "group", "aria-label": "Key light from" }, ...presets),
+        strengths.element,
+        softness.element,
+        wipe.element,
+        el("div", { class: "row" }, holdButton(picture, () => wipe.value / 100), reset, save),
         el("p", { class: "muted small" }, alone),
         el("p", { class: "command small" }, command),
         said,
@@ -164,12 +189,12 @@ function relitView(
   };
 }
 
-/** Shows the photograph as it was while it is held down, by pointer or by key. */
-function holdButton(picture: RelitPicture): HTMLElement {
+/** Shows the photograph as it was while it is held down, by pointer or by key, then so much of it. */
+function holdButton(picture: RelitPicture, before: () => number): HTMLElement {
   const button = el("button", { type: "button", "aria-pressed": "false" }, "Hold: as photographed");
-  const hold = (isBefore: boolean): void => {
-    button.setAttribute("aria-pressed", String(isBefore));
-    picture.show(isBefore);
+  const hold = (isHeld: boolean): void => {
+    button.setAttribute("aria-pressed", String(isHeld));
+    picture.show(isHeld ? 1 : before());
   };
   button.addEventListener("pointerdown", (event) => {
     button.setPointerCapture(event.pointerId);
@@ -186,11 +211,24 @@ function holdButton(picture: RelitPicture): HTMLElement {
   return button;
 }
 
+/** Angles seen by the viewer, 0 at the camera, as those of the map, 0 ahead of it. */
+function inMap([azimuth, elevation]: [number, number]): Angles {
+  return { azimuth_deg: opposite(azimuth), zenith_deg: 90 - elevation };
+}
+
+/** 180 degrees less it, from -180 to 180: from one of both to the other. */
+const opposite = (azimuth: number): number => (azimuth > 0 ? 180 - azimuth : -180 - azimuth);
+
 /** The words that make the same picture in a terminal. */
-function commandOf(facts: Facts, { azimuth_deg, zenith_deg }: Angles, times: number): string {
-  const place = `--sun=${azimuth_deg.toFixed(1)},${(90 - zenith_deg).toFixed(1)}`;
-  const strength = times === 1 ? "" : ` --strength ${(times * (facts.strength ?? 0)).toPrecision(4)}`;
-  return `${facts.command} ${place}${strength} --out relit.png`;
+function commandOf(facts: Facts, { azimuth_deg, zenith_deg }: Angles, strength: number, size: number): string {
+  const { usual } = facts;
+  return [
+    facts.command,
+    `--angle=${opposite(azimuth_deg).toFixed(1)},${(90 - zenith_deg).toFixed(1)}`,
+    ...(strength === usual.strength ? [] : [`--strength ${strength}`]),
+    ...(size === usual.size_deg ? [] : [`--size ${size}`]),
+    "--out relit.png",
+  ].join(" ");
 }
 
 /** A PNG of the canvas, with a line below it where there is a warning. */

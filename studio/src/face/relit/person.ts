@@ -1,4 +1,3 @@
-import type { Angles } from "../../api";
 import type { Edit } from "../../shared/edit";
 import { readTensors } from "./tensors";
 
@@ -8,15 +7,16 @@ type Rgb = [number, number, number];
 export interface Facts {
   command: string;
   is_alone: boolean;
-  is_lamp: boolean;
-  was_found: boolean;
-  strength: number | null;
   warning: string;
   size: [width: number, height: number];
   crop: [left: number, top: number, width: number, height: number];
-  sun: Angles;
-  irradiance: Rgb;
-  map_rows: number;
+  /** Azimuth and elevation in degrees, 0 at the camera and positive to the viewer's right. */
+  keys: Record<string, [azimuth: number, elevation: number]>;
+  usual: { size_deg: number; strength: number };
+  colour: Rgb;
+  fill: number;
+  ball: number;
+  metered: number;
   gloss: number;
   lobe: { f0: number; alpha: number };
   soft_px: number;
@@ -28,7 +28,7 @@ export interface Facts {
   edit: Edit;
 }
 
-/** The points of a person's surface (m of them) with all light but the sun's; row by row. */
+/** The points of a person's surface (m of them) with all light but the key's; row by row. */
 export interface Person {
   facts: Facts;
   picture: { width: number; height: number; codes: Uint8Array };

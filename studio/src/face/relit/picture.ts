@@ -1,6 +1,6 @@
 import { EDIT } from "../../shared/edit";
 import type { Facts, Person } from "./person";
-import type { Grid, Lit, SunLight } from "./sun_light";
+import type { Grid, KeyLight, Lit } from "./key_light";
 
 const CORNERS = `#version 300 es
 void main() {
@@ -15,7 +15,7 @@ uniform vec2 size, // of the picture; and where the grids of skin and of the who
   skinFrom, skinSize, wholeFrom, wholeSize;
 uniform vec2 drawn; // pixels of the canvas
 uniform float least, brightest, knee, common_;
-uniform bool isBefore;
+uniform float before; // the share of the width, from the left, that is as it was photographed
 out vec4 color;
 
 ${EDIT}
@@ -32,7 +32,7 @@ void main() {
   vec4 seen = texture(photo, at / size); // linear
   vec3 p = seen.rgb, light = p;
   // branches: where no graphics card is, most of the time goes into looking textures up
-  if (!isBefore && seen.a > 0.0) {
+  if (at.x >= before * size.x && seen.a > 0.0) {
     vec3 scene = unedited(p);
     vec3 person = scene * exp(texture(ratio, (at - wholeFrom) / wholeSize).rgb);
     vec2 place = (at - skinFrom) / skinSize;
@@ -74,11 +74,12 @@ export class RelitPicture {
   private scale = 0; // pixels of the canvas a pixel of the picture, along an axis
   private detail = 1; // pixels of the canvas a pixel of the screen, while the light changes
   private settling = 0;
+  private before = 0;
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
     { picture, facts }: Person,
-    private readonly light: SunLight,
+    private readonly light: KeyLight,
   ) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error("this browser offers no WebGL 2, so the person cannot be relit here");
@@ -120,7 +121,7 @@ export class RelitPicture {
       number(`${name}Size`, width * step * across, height * step * down);
     }
     this.setConstants(facts, number);
-    this.paint(true, 1);
+    this.paint(1, 1);
   }
 
   draw({ shading, glossy, ratio, common }: Lit): void {
@@ -130,20 +131,21 @@ export class RelitPicture {
     this.upload(6, this.light.whole, ratio);
     this.gl.uniform1f(this.uniform("common_"), common);
     const begun = performance.now();
-    this.paint(false, Math.min(1, (this.detail * canvas.clientWidth * devicePixelRatio) / size.width || 1));
+    this.paint(this.before, Math.min(1, (this.detail * canvas.clientWidth * devicePixelRatio) / size.width || 1));
     requestAnimationFrame(() => {
       const took = performance.now() - begun;
       if (took > SLOW_MS) this.detail = Math.max(0.5, 0.8 * this.detail);
       if (took < FAST_MS) this.detail = Math.min(1, 1.25 * this.detail);
     });
     clearTimeout(this.settling);
-    this.settling = window.setTimeout(() => this.show(false), SETTLED_MS);
+    this.settling = window.setTimeout(() => this.show(this.before), SETTLED_MS);
   }
 
-  /** The last picture, or the photograph as it was, at its own size. */
-  show(isBefore: boolean): void {
+  /** The last picture at its own size, that share of it from the left as it was photographed. */
+  show(before: number): void {
     clearTimeout(this.settling);
-    this.paint(isBefore, 1);
+    this.before = before;
+    this.paint(before, 1);
   }
 
   dispose(): void {
@@ -151,7 +153,7 @@ export class RelitPicture {
     this.gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
-  private paint(isBefore: boolean, scale: number): void {
+  private paint(before: number, scale: number): void {
     const { gl, canvas, size, box } = this;
     const isCleared = scale !== this.scale;
     if (isCleared) {
@@ -171,7 +173,7 @@ export class RelitPicture {
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, scale < 1 ? gl.LINEAR : gl.NEAREST);
       gl.disable(gl.SCISSOR_TEST);
     } else gl.enable(gl.SCISSOR_TEST);
-    gl.uniform1i(this.uniform("isBefore"), Number(isBefore));
+    gl.uniform1f(this.uniform("before"), before);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 

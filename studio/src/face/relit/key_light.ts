@@ -1,4 +1,4 @@
-import { fromAngles, toPixel, type Vec3 } from "../../shared/frame";
+import { fromAngles, fromPixel, solidAngles, type Vec3 } from "../../shared/frame";
 import { luminance } from "../../shared/radiance_map";
 import { Blur, Filling } from "./filling";
 import type { Person } from "./person";
@@ -6,6 +6,7 @@ import type { Person } from "./person";
 const ROWS = 32; // of the directions that points see or not
 const MARGIN = 4; // of the grid of skin
 const SHARED_ROWS = 16; // as in skylight.portrait._relit
+const CUT_OFF = 2.6; // spreads from its middle, beyond which a lobe is taken for black
 
 /** Some pixels of the shading's picture: what textures are made of. */
 export interface Grid {
@@ -28,28 +29,48 @@ export interface Lit {
   common: number;
 }
 
-/**
- * The four pixels of a lat-long grid about a direction, and their bilinear shares; beyond a pole is
- * its own row, half a turn away.
- */
-export function nearest(direction: Vec3, rows: number): [pixel: number, share: number][] {
-  const columns = 2 * rows;
-  const [column, row] = toPixel(direction, columns, rows);
-  const r0 = Math.floor(row);
-  const c0 = Math.floor(column);
-  return [0, 1].flatMap((below) =>
-    [0, 1].map((beside): [number, number] => {
-      const r = r0 + below;
-      const isBeyond = r < 0 || r >= rows;
-      const c = c0 + beside + (isBeyond ? rows : 0);
-      const pixel = Math.min(Math.max(r, 0), rows - 1) * columns + (((c % columns) + columns) % columns);
-      return [pixel, Math.abs(1 - below - (row - r0)) * Math.abs(1 - beside - (column - c0))];
-    }),
-  );
+/** Some of the directions that points see or not, by pixel; a surface that faces it receives 1 of their weights. */
+export interface Lobe {
+  middle: Vec3;
+  spreadRad: number;
+  pixels: Int32Array;
+  directions: Float32Array;
+  weights: Float32Array;
 }
 
-/** A person under all light but the sun's, and the sun wherever it is put. */
-export class SunLight {
+/**
+ * A von Mises-Fisher lobe of that spread per axis, no narrower than half a pixel of the grid of so
+ * many rows. Of a wide one each second row and column does, for a quarter of the time.
+ */
+export function lobe(middle: Vec3, spreadRad: number, rows = ROWS): Lobe {
+  const columns = 2 * rows;
+  const pixelRad = Math.PI / rows;
+  const spread = Math.max(spreadRad, pixelRad / 2);
+  const step = spread > 1.6 * pixelRad ? 2 : 1;
+  const solid = solidAngles(columns, rows);
+  const found: { pixel: number; direction: Vec3; weight: number }[] = [];
+  let facing = 0;
+  for (let pixel = 0; pixel < rows * columns; pixel++) {
+    const row = Math.floor(pixel / columns);
+    if (row % step || pixel % step) continue;
+    const direction = fromPixel(pixel % columns, row, columns, rows);
+    const chord = 2 - 2 * (direction[0] * middle[0] + direction[1] * middle[1] + direction[2] * middle[2]);
+    if (chord >= (CUT_OFF * spread) ** 2) continue;
+    const weight = solid[row]! * Math.exp(-chord / (2 * spread ** 2));
+    found.push({ pixel, direction, weight });
+    facing += weight * Math.max(0, 1 - chord / 2);
+  }
+  return {
+    middle,
+    spreadRad,
+    pixels: Int32Array.from(found, ({ pixel }) => pixel),
+    directions: Float32Array.from(found.flatMap(({ direction }) => direction)),
+    weights: Float32Array.from(found, ({ weight }) => weight / facing),
+  };
+}
+
+/** A person under the fill, and a key light wherever it is put. */
+export class KeyLight {
   /** About the skin, cell by pixel. */
   readonly skin: Grid;
   /** About all of the person, in cells of 2 x 2 pixels: what is blurred needs no more. */
@@ -102,30 +123,31 @@ export class SunLight {
     };
   }
 
-  /** `V <n, d>+ / pi` at each point, and as much of the gloss; two numbers a point. */
-  transport(direction: Vec3): Float32Array {
+  /** `sum_w g(w) V(w) <n, w>+ dw / pi` at each point, and as much of the gloss; two numbers a point. */
+  transport({ middle, spreadRad, pixels, directions, weights }: Lobe): Float32Array {
     const { normals, views, visible, facts } = this.person;
-    const [x, y, z] = direction;
+    const [x, y, z] = middle;
     const bytes = (ROWS * ROWS * 2) / 8;
-    const near = nearest(direction, ROWS);
-    const a2 = facts.lobe.alpha ** 2;
+    // halfway vectors are spread by half as much: as rough a surface shows a light that is narrow
+    const a2 = facts.lobe.alpha ** 2 + spreadRad ** 2 / 2;
     const { f0 } = facts.lobe;
     const out = new Float32Array((2 * normals.length) / 3);
     for (let i = 0, at = 0; at < normals.length; i++, at += 3) {
       const nx = normals[at]!;
       const ny = normals[at + 1]!;
       const nz = normals[at + 2]!;
-      const nl = nx * x + ny * y + nz * z;
-      if (nl <= 0) continue;
       let seen = 0;
-      for (let k = 0; k < 4; k++) {
-        const [pixel, share] = near[k]!;
-        if ((visible[i * bytes + (pixel >> 3)]! >> (pixel & 7)) & 1) seen += share;
+      for (let k = 0, of = 0; k < pixels.length; k++, of += 3) {
+        const pixel = pixels[k]!;
+        if (!((visible[i * bytes + (pixel >> 3)]! >> (pixel & 7)) & 1)) continue;
+        const cosine = nx * directions[of]! + ny * directions[of + 1]! + nz * directions[of + 2]!;
+        if (cosine > 0) seen += weights[k]! * cosine;
       }
       if (seen === 0) continue;
       const vx = views[at]!;
       const vy = views[at + 1]!;
       const vz = views[at + 2]!;
+      const nl = Math.max(nx * x + ny * y + nz * z, 1e-2);
       const nv = Math.max(nx * vx + ny * vy + nz * vz, 1e-2);
       const lv = vx * x + vy * y + vz * z;
       // skylight.transport._render.ggx
@@ -135,26 +157,31 @@ export class SunLight {
       const masking =
         0.5 / (nl * Math.sqrt(nv * nv * (1 - a2) + a2) + nv * Math.sqrt(nl * nl * (1 - a2) + a2));
       const fresnel = f0 + (1 - f0) * (1 - Math.min(length / 2, 1)) ** 5;
-      out[2 * i] = (seen * nl) / Math.PI;
-      out[2 * i + 1] = facts.gloss * seen * nl * density * masking * fresnel;
+      out[2 * i] = seen / Math.PI;
+      out[2 * i + 1] = facts.gloss * seen * density * masking * fresnel;
     }
     return out;
   }
 
-  /** The person with the sun there, `times` as strong as it was found (or is by default). */
-  under(azimuthDeg: number, zenithDeg: number, times: number): Lit {
+  /**
+   * The person with the key there, so wide and so many times as bright as the fill: the formulas of
+   * skylight.portrait._keys.
+   */
+  under(azimuthDeg: number, zenithDeg: number, strength: number, sizeDeg: number): Lit {
     const { facts } = this.person;
-    const direction = fromAngles(azimuthDeg, zenithDeg);
-    const sun = facts.irradiance.map((value) => times * value) as [number, number, number];
-    const transport = this.transport(direction);
-    const gains = this.gains(transport, sun);
+    const dimmed = facts.ball / (facts.fill * (1 + strength * facts.metered));
+    const key = facts.colour.map((value) => dimmed * strength * facts.fill * value) as [number, number, number];
+    // a disc's diameter is four spreads of a lobe
+    const from = lobe(fromAngles(azimuthDeg, zenithDeg), (sizeDeg * Math.PI) / 180 / 4);
+    const transport = this.transport(from);
+    const gains = this.gains(transport, key, dimmed);
     const filled = this.fromSkin.fill(this.summed(transport, 2, this.skin, this.onSkin), 2);
     const shading = new Float32Array(this.restShading.length);
     const glossy = new Float32Array(this.restGlossy.length);
     for (let i = 0, at = 0; at < shading.length; i += 2)
       for (let k = 0; k < 3; k++, at++) {
-        shading[at] = gains[k]! * (this.restShading[at]! + sun[k]! * filled[i]!);
-        glossy[at] = gains[k]! * (this.restGlossy[at]! + sun[k]! * filled[i + 1]!);
+        shading[at] = gains[k]! * (dimmed * this.restShading[at]! + key[k]! * filled[i]!);
+        glossy[at] = gains[k]! * (dimmed * this.restGlossy[at]! + key[k]! * filled[i + 1]!);
       }
     const soft = this.soft(transport, 2, 0);
     const base = facts.base * this.level;
@@ -162,11 +189,11 @@ export class SunLight {
     for (let i = 0; i < soft.length; i++) {
       if (this.covered[i] === 0) continue;
       for (let k = 0; k < 3; k++) {
-        const now = gains[k]! * (this.softRest[k]![i]! + sun[k]! * soft[i]!);
+        const now = gains[k]! * (dimmed * this.softRest[k]![i]! + key[k]! * soft[i]!);
         ratio[3 * i + k] = Math.log((now + base) / (this.softBefore[k]![i]! + base));
       }
     }
-    return { shading, glossy, ratio: this.fromAll.fill(ratio, 3), common: this.common(direction, sun) };
+    return { shading, glossy, ratio: this.fromAll.fill(ratio, 3), common: this.common(from, key, dimmed) };
   }
 
   /** One channel of the points' values, smoothed over the whole person. */
@@ -177,9 +204,9 @@ export class SunLight {
   }
 
   /** White is balanced so that the mean shading of skin keeps its colour: it is the same place. */
-  private gains(transport: Float32Array, sun: [number, number, number]): number[] {
+  private gains(transport: Float32Array, key: [number, number, number], dimmed: number): number[] {
     const lit = this.meanOnSkin(transport, 2)[0]!;
-    const received = sun.map((value, k) => this.meanRest[k]! + value * lit);
+    const received = key.map((value, k) => dimmed * this.meanRest[k]! + value * lit);
     if (received.some((value) => value === 0)) return [1, 1, 1];
     const gains = received.map((value, k) => this.meanBefore[k]! / value);
     const [r, g, b] = received as [number, number, number];
@@ -188,21 +215,16 @@ export class SunLight {
   }
 
   /** `max(0, 1 - |p - q|_1)` of skylight.portrait._relit.shared_light. */
-  private common(direction: Vec3, sun: [number, number, number]): number {
-    const { foundPower, restPower, facts } = this.person;
-    const power = restPower.slice();
-    const rows = Math.min(SHARED_ROWS, facts.map_rows);
-    const block = facts.map_rows / rows;
-    // one above the horizon by less than half a row stays above it
-    const lowest = ((facts.map_rows / 2 - 0.5) / facts.map_rows) * 180;
-    const zenith = (Math.acos(Math.min(1, Math.max(-1, direction[1]))) * 180) / Math.PI;
-    const azimuth = (Math.atan2(direction[0], -direction[2]) * 180) / Math.PI;
-    const placed = zenith < 90 ? fromAngles(azimuth, Math.min(zenith, lowest)) : direction;
-    for (const [pixel, share] of nearest(placed, facts.map_rows)) {
-      const row = Math.floor(pixel / (2 * facts.map_rows) / block);
-      const column = Math.floor((pixel % (2 * facts.map_rows)) / block);
-      power[row * 2 * rows + column]! += share * luminance(...sun);
-    }
+  private common({ middle, spreadRad }: Lobe, key: [number, number, number], dimmed: number): number {
+    const { foundPower, restPower } = this.person;
+    const power = restPower.map((value) => dimmed * value);
+    const rows = 4 * SHARED_ROWS;
+    const { pixels, weights } = lobe(middle, spreadRad, rows);
+    pixels.forEach((pixel, k) => {
+      const row = Math.floor(pixel / (2 * rows) / 4);
+      const column = Math.floor((pixel % (2 * rows)) / 4);
+      power[row * 2 * SHARED_ROWS + column]! += weights[k]! * luminance(...key);
+    });
     const sum = (of: Float32Array): number => of.reduce((total, value) => total + value, 0);
     const [was, is] = [sum(foundPower), sum(power)];
     let apart = 0;

@@ -1,0 +1,200 @@
+"""Key lights: where they stand, how bright and wide they are, which side they light."""
+
+import dataclasses
+import math
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import torch
+
+from skylight._names import KeyName
+from skylight.errors import InputError
+from skylight.estimation._kept import KeptFace
+from skylight.inverse._lamp_relighting import lamps_radiance
+from skylight.inverse._result import Lamp
+from skylight.portrait._keys import (
+    HARD_DEG,
+    KEY_OVER_FILL,
+    KEYS,
+    METERED,
+    SOFT_DEG,
+    USUAL_DEG,
+    ball_weights,
+    brightness_of_ball,
+    direction_seen,
+    fill_of,
+    key_light,
+)
+from skylight.portrait._relit import Portrait, light_in_photo, portrait_of
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from tests.sunny_face import direction, known_face
+
+SKY = torch.tensor([0.1, 0.2, 0.4])
+
+
+def with_light(environment: EnvironmentMap, *lamps: Lamp) -> KeptFace:
+    """The known face, were this its light."""
+    return dataclasses.replace(known_face(), environment=environment, lamps=lamps)
+
+
+def even(rows: int = 64) -> EnvironmentMap:
+    return EnvironmentMap(radiance=SKY.expand(rows, 2 * rows, 3).clone())
+
+
+def test_angles_are_those_of_who_looks_at_the_picture() -> None:
+    for place, want in (
+        ((0.0, 0.0), (0, 0, 1)),  # the camera is behind -Z
+        ((90.0, 0.0), (1, 0, 0)),  # the picture's right
+        ((-90.0, 0.0), (-1, 0, 0)),
+        ((180.0, 0.0), (0, 0, -1)),
+        ((37.0, 90.0), (0, 1, 0)),
+        ((0.0, -90.0), (0, -1, 0)),
+    ):
+        torch.testing.assert_close(
+            direction_seen(*place), torch.tensor(want, dtype=torch.float64), rtol=0, atol=1e-12
+        )
+    x, y, z = zip(*(direction_seen(*KEYS[name]).tolist() for name in KEYS), strict=True)
+    sides = dict(zip(KEYS, x, strict=True))
+    assert sides["left"] < -0.5
+    assert sides["right"] == pytest.approx(-sides["left"])
+    assert max(KEYS, key=dict(zip(KEYS, y, strict=True)).__getitem__) == "top"
+    assert [name for name, depth in zip(KEYS, z, strict=True) if depth < 0] == ["rim"]
+
+
+def test_a_ball_is_lit_as_lambert_has_it() -> None:
+    """Against the mean over a million places of its disc, in float64."""
+    across = np.linspace(-1, 1, 1001)
+    x, y = np.meshgrid(across, across)
+    inside = x**2 + y**2 < 1
+    normals = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], -1)[inside]
+    for name in (*KEYS, (180.0, 0.0), (90.0, 0.0)):
+        towards = direction_seen(*(KEYS[name] if isinstance(name, str) else name))
+        want = np.maximum(normals @ towards.numpy(), 0).mean()
+        assert float(ball_weights(towards)) == pytest.approx(want, abs=1e-3)
+
+
+@pytest.mark.parametrize("strength", [0.0, 1.0, KEY_OVER_FILL, 50.0])
+def test_brightness_stays_and_the_key_is_so_much_brighter_than_the_fill(strength: float) -> None:
+    lit = even().with_light(direction(40.0, 50.0), torch.tensor([2.0, 1.8, 1.5]))
+    found = with_light(lit)
+    light = key_light(found, "left", strength=strength, size_deg=HARD_DEG).environment
+    whole = brightness_of_ball(light_in_photo(found))
+    assert brightness_of_ball(light) == pytest.approx(whole, rel=5e-3)
+    # what faces the key receives it beside what the fill sends there
+    fill = fill_of(found)
+    share = whole / brightness_of_ball(fill) / (1 + strength * float(ball_weights(metered())))
+    towards = metered().float()
+    key = luminance(light.irradiance(towards)) - share * luminance(fill.irradiance(towards))
+    want = strength * share * brightness_of_ball(fill)
+    assert float(key) == pytest.approx(want, rel=5e-3, abs=1e-3 * whole)
+
+
+def metered() -> torch.Tensor:
+    return direction_seen(*METERED)
+
+
+def test_the_lamp_keeps_its_strength_wherever_it_stands() -> None:
+    found = with_light(even())
+    received = {
+        name: float(
+            luminance(
+                key_light(found, name).environment.irradiance(direction_seen(*KEYS[name]).float())
+            )
+        )
+        for name in KEYS
+    }
+    assert max(received.values()) == pytest.approx(min(received.values()), rel=1e-3)
+    ball = {name: brightness_of_ball(key_light(found, name).environment) for name in KEYS}
+    assert ball["rim"] < ball["top"] < ball["left"] < ball["front"]
+    assert ball["left"] == pytest.approx(ball["right"], rel=1e-6)
+
+
+@pytest.mark.parametrize("size_deg", [HARD_DEG, USUAL_DEG, SOFT_DEG])
+def test_a_key_is_as_wide_as_a_disc_of_that_diameter(size_deg: float) -> None:
+    """By the mean square of the angle to its middle: a^2 / 2 of a small disc of radius a."""
+    light = key_light(with_light(even(256)), "front", size_deg=size_deg, strength=1000.0)
+    grid, middle = light.environment.grid, direction_seen(*KEYS["front"])
+    lobe = luminance(light.environment.flat).double()
+    lobe = (lobe - lobe.min()) * grid.solid_angles
+    chords = (grid.directions - middle).square().sum(1)
+    radius = math.degrees(math.sqrt(2 * float(lobe @ chords / lobe.sum())))
+    assert radius == pytest.approx(size_deg / 2, rel=0.02)
+
+
+def test_sun_and_lamps_leave_the_fill_and_a_black_rest_is_even() -> None:
+    sun = torch.tensor([2.0, 1.8, 1.5])
+    gains = known_face().white_balance
+    for found in (
+        with_light(even().with_light(direction(40.0, 50.0), sun)),
+        lamp_lit(even()),
+    ):
+        torch.testing.assert_close(
+            fill_of(found).radiance, even().radiance * gains, rtol=1e-3, atol=1e-4
+        )
+    dark = lamp_lit(EnvironmentMap(radiance=torch.zeros(64, 128, 3)))
+    fill = fill_of(dark).flat
+    torch.testing.assert_close(fill, fill[:1].expand(fill.shape))
+    torch.testing.assert_close(
+        fill_of(dark).integrate(), light_in_photo(dark).integrate(), rtol=1e-4, atol=0
+    )
+
+
+def lamp_lit(ambient: EnvironmentMap) -> KeptFace:
+    """With one lamp behind the camera and one ahead, in ambient light."""
+    lamps = [
+        Lamp(direction=direction(azimuth, 60.0), irradiance=SKY, spread_rad=math.radians(12))
+        for azimuth in (150.0, 10.0)
+    ]
+    lobes = lamps_radiance(lamps, 64).reshape(64, 128, 3).float()
+    return with_light(EnvironmentMap(radiance=ambient.radiance + lobes), *lamps)
+
+
+@lru_cache(maxsize=1)
+def portrait() -> Portrait:
+    face = known_face()
+    return portrait_of(face.photo, face.fit, face.reflection, light_in_photo(face), face_px=32)
+
+
+@pytest.mark.parametrize("key", [*KEYS, (-80.0, 0.0), (80.0, 0.0), (0.0, -60.0)])
+def test_a_key_lights_the_side_of_the_picture_that_it_is_named_by(
+    key: KeyName | tuple[float, float],
+) -> None:
+    """Mean shading of skin left and right, above and below the middle of the face."""
+    face = portrait()
+    shading, _ = face.shaded_by(key_light(known_face(), key).environment)
+    rows, columns = np.nonzero(face.bare)
+    bright = shading.mean(2)[rows, columns]
+    right = np.average(columns, weights=bright) - columns.mean()
+    below = np.average(rows, weights=bright) - rows.mean()
+    width = np.ptp(columns)
+    if key in ("left", (-80.0, 0.0)):
+        assert right < -0.05 * width
+    elif key in ("right", (80.0, 0.0)):
+        assert right > 0.05 * width
+    elif key == "front":
+        assert abs(right) < 0.05 * width
+    elif key == "rim":  # hardly any of it reaches the face
+        front, _ = face.shaded_by(key_light(known_face(), "front").environment)
+        assert bright.mean() < 0.5 * front[rows, columns].mean()
+    else:
+        assert below < 0 if key == "top" else below > 0
+
+
+@pytest.mark.parametrize(
+    ("place", "options", "said"),
+    [
+        ((math.nan, 0.0), {}, "azimuth"),
+        ((400.0, 0.0), {}, "azimuth"),
+        ((0.0, 91.0), {}, "elevation"),
+        ((0.0, 0.0), {"size_deg": 0.5}, "wide"),
+        ((0.0, 0.0), {"size_deg": math.nan}, "wide"),
+        ((0.0, 0.0), {"strength": -1.0}, "strength"),
+        ((0.0, 0.0), {"strength": math.inf}, "strength"),
+    ],
+)
+def test_keys_that_cannot_be(
+    place: tuple[float, float], options: dict[str, float], said: str
+) -> None:
+    with pytest.raises(InputError, match=said):
+        key_light(known_face(), place, **options)
