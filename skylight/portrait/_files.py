@@ -64,7 +64,7 @@ def relit_portrait(
         photo=portrait.photo,
         exposure=used,
         warning=warning_of(result.estimate),
-        notes=light.notes,
+        notes=(*light.notes, *portrait.doubts),
         white=_white_of(result.photos[result.seen[0].photo]),
     )
 

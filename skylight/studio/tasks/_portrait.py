@@ -37,13 +37,9 @@ from skylight.imaging._edits import Edit
 from skylight.imaging._photo import Photo
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.portrait._files import KNEE, warning_of
+from skylight.portrait._gain import BASE, BRIGHTER, DARKER, SHARP, SHINE, SOFT, TINT, TINTED
 from skylight.portrait._lights import MovableSun
 from skylight.portrait._relit import (
-    BASE,
-    BRIGHTEST,
-    DARK,
-    HAIR_COUNTS,
-    SOFT,
     FaceReflection,
     Portrait,
     coarse_power,
@@ -173,9 +169,9 @@ def kept_person(folder: Path) -> KeptPerson:
 
 FILE = "portrait.safetensors"
 PIXELS = 1280 * 720  # of the picture
-FACE_PX = 96  # height of the face where shading is computed
 _MAP_ROWS = 64  # of the rest of the light, to be looked at
-_MARGIN = 24  # of the part of the shading that is sent, in its pixels: as far as it is blurred
+_UNSEEN = 1.5  # logarithm, the largest that is sent
+_MARGIN = 46  # of the part of the shading that is sent, in its pixels: as far as it is blurred
 
 
 def take_apart(
@@ -191,7 +187,6 @@ def take_apart(
         fit,
         person.reflection,
         person.found,
-        face_px=FACE_PX,
         workers=cores(),
         progress=lambda share: tell("tracing light", share),
     )
@@ -207,12 +202,14 @@ def packed(portrait: Portrait, person: KeptPerson) -> tuple[dict[str, Tensor], d
     ``picture`` (h,w,4) has the photograph's sRGB codes, cut off at white, and its matte. ``crop``
     (left, top, width, height) is the part of the shading's picture, ``size`` (width, height), that
     holds person and surface; ``places`` (m,) are the points' in it. ``visible`` (m,256) has a bit
-    for each of 32 x 64 directions, the lowest first. ``found_power`` and ``rest_power`` are
+    for each of 32 x 64 directions, the lowest first. ``unseen`` (h,w) is that of
+    :class:`~skylight.portrait._gain.Unseen`, from -:data:`_UNSEEN` to that in 255 steps.
+    ``found_power`` and ``rest_power`` are
     :func:`~skylight.portrait._relit.coarse_power`; ``rest_map`` is to be looked at.
     """
     surface, sun = portrait.person.surface, person.sun
     rest_shading, rest_specular = portrait.shaded_by(sun.rest)
-    rows, columns = np.nonzero(portrait.covered)  # row by row, as the surface has them
+    rows, columns = np.nonzero(portrait.on.covered)  # row by row, as the surface has them
     left, top, width, height = _crop(portrait)
     codes = (linear_to_srgb(torch.from_numpy(portrait.photo).clamp(0, 1)) * 255).round()
     matte = torch.from_numpy(portrait.matte * 255).round()
@@ -223,14 +220,16 @@ def packed(portrait: Portrait, person: KeptPerson) -> tuple[dict[str, Tensor], d
     of_points = {
         "shading": portrait.shading,
         "glossy": portrait.specular,
-        "local": portrait.local,
         "rest_shading": rest_shading,
         "rest_glossy": rest_specular,
-        "inside": portrait.inside,
-        "bare": portrait.bare,
+        "unseen_tint": portrait.unseen.colour,
+        "bare": portrait.on.bare,
+        "known": portrait.known,
     }
+    steps = 127.5 * (portrait.unseen.level / _UNSEEN + 1)
     tensors = {
         "picture": torch.cat([codes, matte[..., None]], 2).to(torch.uint8),
+        "unseen": torch.from_numpy(steps.round().clip(0, 255)).to(torch.uint8),
         "places": torch.from_numpy((rows - top) * width + columns - left).int(),
         "normals": portrait.person.normals.float(),
         "views": -normalize(surface.positions, dim=1).float(),
@@ -243,18 +242,21 @@ def packed(portrait: Portrait, person: KeptPerson) -> tuple[dict[str, Tensor], d
         name: torch.from_numpy(image[rows, columns]).float() for name, image in of_points.items()
     }
     facts = person.facts | {
-        "size": portrait.covered.shape[::-1],
+        "doubts": list(portrait.doubts),
+        "size": portrait.on.covered.shape[::-1],
         "crop": [left, top, width, height],
         "sun": {"azimuth_deg": math.degrees(azimuth), "zenith_deg": math.degrees(zenith)},
         "irradiance": irradiance.tolist(),
         "map_rows": sun.rest.layout[0],
         "gloss": portrait.specular_scale,
         "lobe": {"f0": SKIN_SPECULAR.f0, "alpha": SKIN_SPECULAR.alpha},
-        "soft_px": SOFT * portrait.person.face_px,
-        "dark": DARK,
+        "sigmas_px": [x * portrait.on.face_px for x in (SHARP, SOFT, TINT)],
         "base": BASE,
-        "brightest": BRIGHTEST,
-        "hair_counts": HAIR_COUNTS,
+        "shine": SHINE / portrait.albedo,
+        "most": [BRIGHTER, DARKER],
+        "tinted": TINTED,
+        "unseen": _UNSEEN,
+        "doubted": portrait.strength,
         "knee": KNEE,
         "edit": asdict(portrait.edit),
     }
@@ -267,8 +269,10 @@ def _bits(visible: Tensor) -> UInt8[Tensor, "m b"]:
 
 def _crop(portrait: Portrait) -> tuple[int, int, int, int]:
     """(left, top, width, height) of what holds surface and matte, with a margin."""
-    shown = cv2.resize(portrait.matte, portrait.covered.shape[::-1], interpolation=cv2.INTER_AREA)
-    inside = (shown > 0) | (portrait.covered > 0)
+    shown = cv2.resize(
+        portrait.matte, portrait.on.covered.shape[::-1], interpolation=cv2.INTER_AREA
+    )
+    inside = (shown > 0) | (portrait.on.covered > 0)
     ends: list[tuple[int, int]] = []
     for axis in (0, 1):
         (along,) = np.nonzero(inside.any(axis))

@@ -132,6 +132,7 @@ function relitView(
   const help = freshId("help");
   const notes = [
     ...(facts.warning ? [`Take care: ${facts.warning}.`] : []),
+    ...facts.doubts.map((doubt) => `Take care: ${doubt}.`),
     ...(facts.was_found ? [] : ["No sun was found: one is added, as strong as under a clear sky."]),
   ].map((line) => el("p", { class: "care" }, line));
   const alone = facts.is_alone
