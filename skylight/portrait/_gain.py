@@ -20,16 +20,17 @@ from skylight.sphere._envmap import LUMINANCE
 
 # Lengths are in heights of the face.
 SHARP = 0.02  # standard deviation of the Gaussian of skin's shading: what a fitted head is off by
-SOFT = 0.06  # and of that of hair and clothes
+SOFT = 0.04  # and of that of hair and clothes
 TINT = 0.12  # and of the colour of light
 EXACT = 0.01  # and of the shading whose edges the picture places
-LOCAL = 0.08  # and of the neighbourhood in which shading is compared with the picture
+LOCAL = 0.05  # and of the neighbourhood in which shading is compared with the picture
 EDGE = 0.02  # radius of the guided filter that tells shading's edges from texture
 SPREAD = 0.1  # and of the one of the matte in clothes
 CODES = 8.0  # of 255: less is no edge of a person
 # Logarithms.
-BRIGHTER, DARKER, TINTED = 1.2, 1.6, 0.2  # what gains approach on either side of skin's mean
+BRIGHTER, DARKER, TINTED = 1.0, 2.0, 0.2  # what gains approach on either side of skin's mean
 TEXTURE = 0.05  # standard deviation of skin's albedo
+HUE = 0.15  # what skin's own colour differs by from place to place
 PORES = 0.15  # what the guided filter takes for texture
 BASE = 0.04  # of the mean shading, in addition: light that bounces between the parts of a face
 SHINE = 0.7  # of the specular reflection, which no estimate knows well
@@ -130,29 +131,42 @@ class Level:
 def bounded(gain: Float[ndarray, "*s"]) -> Float[ndarray, "*s"]:
     """A logarithm with a soft knee: ``b tanh(x / b)``, b of its sign.
 
-    Shadows brightened further show noise, skin darkened further loses its texture.
+    Shadows brightened further show noise, which e times the light makes ``e^(1 / 2.4)``, 1.5 times
+    as large in a picture's codes; skin darkened further loses its texture.
     """
     limit = np.where(gain > 0, np.float32(BRIGHTER), np.float32(DARKER))
     return limit * np.tanh(gain / limit)
 
 
-def tinted(tint: Float[ndarray, "p q 3"], on: Surface) -> Float[ndarray, "p q 3"]:
-    """Changes of colour within :data:`TINTED` of skin's mean: more is seldom skin's colour."""
+def tinted(
+    tint: Float[ndarray, "p q 3"],
+    gain: Float[ndarray, "p q"],
+    skin: Float[ndarray, "p q 3"],
+    on: Surface,
+) -> Float[ndarray, "p q 3"]:
+    """Changes of colour within :data:`TINTED` of skin's mean, and ``skin`` where light changes.
+
+    ``m + b tanh((t - m) / b) + (1 - exp(-|x|)) s``, x being the ``gain`` of level.
+    """
     mean = on.mean(tint)
-    return mean + TINTED * np.tanh((tint - mean) / TINTED)
+    near = mean + TINTED * np.tanh((tint - mean) / TINTED)
+    return near + (1 - np.exp(-np.abs(gain)))[..., None] * skin
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unseen:
     """What of the old light's variation the picture does not show, so that it is not taken away.
 
-    ``level`` (h,w) is at the picture's pixels, ``colour`` at those of shading. ``slope`` is how
+    ``level`` (h,w) is at the picture's pixels, ``colour`` at those of shading. ``skin`` is what a
+    place lacks to the mean colour of skin, whose shadows are grey in a photograph: with the light
+    of a place its colour changes towards that mean (:func:`tinted`). ``slope`` is how
     much of the light's variation over skin the picture shows in all, from 0 to 1, and ``contrast``
     the standard deviation of the picture's logarithm there.
     """
 
     level: Float[ndarray, "h w"]
     colour: Float[ndarray, "p q 3"]
+    skin: Float[ndarray, "p q 3"]
     slope: float
     contrast: float
 
@@ -191,10 +205,12 @@ def unseen(
     whole = enlarged(np.dstack([before.level, known]), on.covered, size)
     inside = cv2.erode(on.bare, np.ones((3, 3), np.uint8))
     share = resized(cv2.GaussianBlur(inside, (0, 0), EDGE * on.face_px), size)
+    colour, lacking = _unseen_colour(picture, before.colour, plain, on)
     placed = lines[..., 0] * guide + lines[..., 1]
     return Unseen(
         level=whole[..., 0] - share * placed - (1 - share) * whole[..., 1],
-        colour=_unseen_colour(picture, before.colour, plain, on),
+        colour=colour,
+        skin=lacking,
         slope=slope,
         contrast=float(local(small, EXACT)[skin].std()),
     )
@@ -205,20 +221,31 @@ def _unseen_colour(
     colour: Float[ndarray, "p q 3"],
     plain: Float[ndarray, "p q"],
     on: Surface,
-) -> Float[ndarray, "p q 3"]:
+) -> tuple[Float[ndarray, "p q 3"], Float[ndarray, "p q 3"]]:
+    """``colour`` and ``skin`` of :class:`Unseen`."""
     small = cv2.resize(picture, plain.shape[::-1], interpolation=cv2.INTER_AREA)
-    seen = blurred(np.maximum(small, 0), plain, TINT * on.face_px) + np.float32(1e-4)
-    seen = np.log(seen / (seen @ _LUMINANCE)[..., None])
+    small = np.maximum(small, 0) + np.float32(1e-4)
+    shown = blurred(small, plain, TINT * on.face_px) + np.float32(1e-9)
+    shown = np.log(shown / (shown @ _LUMINANCE)[..., None])
     skin = plain > 0
-    slopes = [_slope(colour[skin][:, k], seen[skin][:, k]) for k in range(3)]
-    return (1 - np.array(slopes, np.float32)) * (colour - colour[skin].mean(0))
+    slopes = [_slope(colour[skin][:, k], shown[skin][:, k]) for k in range(3)]
+    hidden = (1 - np.array(slopes, np.float32)) * (colour - colour[skin].mean(0))
+    mean = np.log(small[skin].mean(0) / (small[skin].mean(0) @ _LUMINANCE))
+    near = blurred(small, plain, LOCAL * on.face_px) + np.float32(1e-9)
+    lacks = mean - np.log(near / (near @ _LUMINANCE)[..., None])
+    share = cv2.GaussianBlur(plain, (0, 0), EDGE * on.face_px)[..., None]
+    return hidden, share * HUE * np.tanh(lacks / HUE)
 
 
 def _slope(light: Float[ndarray, " n"], picture: Float[ndarray, " n"]) -> float:
-    """Of the line from light to picture, from 0 to 1; 0 where the light hardly varies."""
+    """Of the line from light to picture, 0 where the light hardly varies; a half counts as 1.
+
+    What a head is off by lowers the slope of light that is right.
+    """
     away = light - light.mean()
     least = 1e-3 * len(away)
-    return min(max(float(away @ (picture - picture.mean()) / (away @ away + least)), 0.0), 1.0)
+    slope = float(away @ (picture - picture.mean()) / (away @ away + least))
+    return min(max(2 * slope, 0.0), 1.0)
 
 
 def soft_matte(

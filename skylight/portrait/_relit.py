@@ -67,11 +67,11 @@ BELOW = (Region.NECK, BUST)  # what long hair hangs in front of
 Keep = Literal["nothing", "brightness", "place"]
 _LUMINANCE = np.array(LUMINANCE, np.float32)
 WHITE, MANY_WHITE = 0.98, 0.1  # over-exposed, and how much of the skin may be
-MORE_BEHIND = 3.0  # times the light that falls on the front of an upright surface
+MORE_BEHIND = 6.0  # times the light that falls on the front of an upright surface
 FLAT = 0.2  # standard deviation of logarithms: skin that shows no direction of its light
-LITTLE = 0.25  # of the light's variation
+LITTLE = 0.3  # of the light's variation
 _BLACKEST = 0.01  # albedo
-_DOUBTED = 0.6  # of the gain, for each doubt
+_DOUBTED = 0.7  # of the gain, for each doubt
 SHARED_ROWS = 16  # cells of 11 degrees: how far a lamp moves until it is another one
 
 
@@ -184,8 +184,9 @@ class Portrait:
         if keep == "place" and received.all():
             tint = tint - self.on.mean(tint)
         other = 1 - shared_light(self.found, light)
-        tint = tinted(tint + other * self.unseen.colour, self.on)
         typical = float(self.on.mean(gain[..., None])[0])
+        changed = gain + math.log(factor)
+        tint = tinted(tint + other * self.unseen.colour, changed, self.unseen.skin, self.on)
         large = enlarged(np.dstack([tint, gain]), self.known, size)
         gain = large[..., 3] + other * self.unseen.level - typical
         person = large[..., :3] + (self.strength * bounded(gain) + typical)[..., None]

@@ -264,6 +264,23 @@ def test_gains_are_bounded_on_either_side_of_their_mean() -> None:
     np.testing.assert_allclose(bounded(np.float32([-90, 90])), [-DARKER, BRIGHTER])
 
 
+def test_grey_shadows_get_the_colour_of_skin_with_their_new_light() -> None:
+    """A photograph has less colour in shadows; what is lit anew is as red as the rest."""
+    old = hard(120.0)
+    seen = image(old)
+    dark = (seen @ LUMINANCE_ < 0.4 * np.median(seen[on_skin()] @ LUMINANCE_)) & on_skin()
+    assert dark.sum() > 50
+    seen[dark] = (seen[dark] @ LUMINANCE_)[:, None]
+
+    def red(picture: np.ndarray) -> float:
+        return float((picture[dark] / picture[dark].sum(-1, keepdims=True))[:, 0].mean())
+
+    picture, _ = portrait(old, seen).under(even())
+    same, _ = portrait(old, seen).under(old)
+    assert red(seen) + 0.02 < red(picture) < red(image(old))
+    assert red(same) == pytest.approx(red(seen), abs=1e-5)
+
+
 def test_what_cannot_be_relit_is_relit_weaker_and_said() -> None:
     light, other = sunny(40.0, 50.0), hard(-60.0)
     plain = of_the_model(light)

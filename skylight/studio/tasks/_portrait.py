@@ -223,6 +223,7 @@ def packed(portrait: Portrait, person: KeptPerson) -> tuple[dict[str, Tensor], d
         "rest_shading": rest_shading,
         "rest_glossy": rest_specular,
         "unseen_tint": portrait.unseen.colour,
+        "skin_tint": portrait.unseen.skin,
         "bare": portrait.on.bare,
         "known": portrait.known,
     }

@@ -102,8 +102,9 @@ def gain_of(portrait: Portrait, light: EnvironmentMap) -> Float[np.ndarray, "p q
     tint = after.colour - portrait.before.colour
     tint = tint - portrait.on.mean(tint)
     other = 1 - shared_light(portrait.found, light)
-    tint = tinted(tint + other * portrait.unseen.colour, portrait.on)
     gain = after.level - portrait.before.level
+    hidden = portrait.unseen
+    tint = tinted(tint + other * hidden.colour, gain, hidden.skin, portrait.on)
     return filled(np.dstack([tint, gain]), portrait.known)
 
 

@@ -45,6 +45,7 @@ export interface Person {
   restShading: Float32Array;
   restGlossy: Float32Array;
   unseenTint: Float32Array;
+  skinTint: Float32Array;
   bare: Float32Array;
   known: Float32Array;
   foundPower: Float32Array;
@@ -71,6 +72,7 @@ export function readPerson(file: ArrayBuffer): Person {
     restShading: tensors.floats("rest_shading"),
     restGlossy: tensors.floats("rest_glossy"),
     unseenTint: tensors.floats("unseen_tint"),
+    skinTint: tensors.floats("skin_tint"),
     bare: tensors.floats("bare"),
     known: tensors.floats("known"),
     foundPower: tensors.floats("found_power"),

@@ -66,6 +66,7 @@ export class SunLight {
   private readonly bare: Float32Array;
   private readonly skin: Float32Array;
   private readonly unseenTint: Float32Array;
+  private readonly skinTint: Float32Array;
   private readonly before: Level;
   /** The rest's colours, smoothed: one array a channel. */
   private readonly restTint: Float32Array[];
@@ -84,7 +85,10 @@ export class SunLight {
     this.filling = new Filling(known.map((sum, i) => sum / Math.max(counts[i]!, 1)), grid.width, grid.height);
     this.bare = this.summed(person.bare, 1);
     this.skin = this.sharp.of(this.bare).slice();
-    this.unseenTint = this.summed(person.unseenTint, 3).map((sum, i) => sum / Math.max(counts[Math.floor(i / 3)]!, 1));
+    const mean3 = (values: Float32Array): Float32Array =>
+      this.summed(values, 3).map((sum, i) => sum / Math.max(counts[Math.floor(i / 3)]!, 1));
+    this.unseenTint = mean3(person.unseenTint);
+    this.skinTint = mean3(person.skinTint);
     this.meanRest = this.meanOnSkin(restShading, 3);
     this.restTint = this.smoothTint(restShading);
     const mean = luminance(...triple(this.meanOnSkin(shading, 3)));
@@ -155,7 +159,8 @@ export class SunLight {
       for (let k = 0; k < 3; k++) {
         const mean = (isBalanced ? 0 : cast[k]!) + shift[k]!;
         const own = colour[3 * i + k]! - (isBalanced ? cast[k]! : 0) + (1 - common) * this.unseenTint[3 * i + k]!;
-        gain[4 * i + k] = mean + facts.tinted * Math.tanh((own - mean) / facts.tinted);
+        const near = mean + facts.tinted * Math.tanh((own - mean) / facts.tinted);
+        gain[4 * i + k] = near + (1 - Math.exp(-Math.abs(level[i]!))) * this.skinTint[3 * i + k]!;
       }
       gain[4 * i + 3] = level[i]!;
     }
