@@ -20,7 +20,7 @@ from skylight.sphere._envmap import LUMINANCE
 
 # Lengths are in heights of the face.
 SHARP = 0.02  # standard deviation of the Gaussian of skin's shading: what a fitted head is off by
-SOFT = 0.04  # and of that of hair and clothes
+SOFT = 0.06  # and of that of hair and clothes
 TINT = 0.12  # and of the colour of light
 EXACT = 0.01  # and of the shading whose edges the picture places
 LOCAL = 0.05  # and of the neighbourhood in which shading is compared with the picture
