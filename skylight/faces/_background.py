@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from numpy import ndarray
 from torch import Tensor
 
@@ -228,11 +228,26 @@ def _silhouette(
     return drawn > 0
 
 
-def _even(picture: Float[ndarray, "h w 3"]) -> Bool[ndarray, "h w"]:
+def _even(picture: Shaped[ndarray, "h w 3"]) -> Bool[ndarray, "h w"]:
     """Which pixels are exactly the one on their right and the one below."""
     right = (picture[:, :-1] == picture[:, 1:]).all(2)
     below = (picture[:-1] == picture[1:]).all(2)
     return np.pad(right, ((0, 0), (0, 1)), "edge") & np.pad(below, ((0, 1), (0, 0)), "edge")
+
+
+def drawn_parts(
+    encoded: UInt8[ndarray, "h w 3"], person: Float[ndarray, "h w"]
+) -> Float[ndarray, "h w"]:
+    """1 where a picture is a frame, a bar, or what is about a round crop or a cut-out person."""
+    scale = min(1.0, LONG_SIDE_PX / max(person.shape))
+    size = tuple(max(2, round(side * scale)) for side in person.shape[::-1])
+
+    def small(image: Shaped[ndarray, "h w *c"]) -> Shaped[ndarray, "p q *c"]:
+        return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+    even = small(_even(encoded).astype(np.float32)) > FLAT_SHARE
+    drawn = _drawn(small(encoded), even, small(person.astype(np.float32)) > LEAST_MATTE)
+    return cv2.resize(drawn.astype(np.float32), person.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def _drawn(

@@ -66,7 +66,7 @@ def relit_portrait(
         photo=portrait.photo,
         exposure=used,
         warning=face.warning,
-        notes=light.notes,
+        notes=(*light.notes, *portrait.doubts),
         white=_white_of(face.photo),
     )
 

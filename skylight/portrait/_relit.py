@@ -1,24 +1,22 @@
 """A photograph of a person in another light.
 
-With S the diffuse shading of albedo 1 and g the specular reflection, both of the fitted head and in
-the colours of the picture, the photograph I under the light found (A) is ``I = rho S_A + g_A``. The
-albedo ::
+The picture is multiplied by ``exp(G)``, and never divided by anything that it was not lit by: with
+L the level of a light (:class:`~skylight.portrait._gain.Level`) on head, hair and bust, A the light
+found and B the new one ::
 
-    rho = ((I - g_A) S_A + l rho_0) / (S_A^2 + l)
+    G = m + q bounded(ln L_B - ln L_A + (1 - c) U - m) + tint,
 
-is regularised towards a local mean rho_0 where shading is dark, and the picture under light B is ::
+m being the mean of ``ln L_B - ln L_A`` over skin, U what of A the picture does not show
+(:class:`~skylight.portrait._gain.Unseen`), c what the two lights share, and q below 1 where there
+are doubts. So where the light stays, the picture stays. ``tint`` is the change of the light's
+colour, in wide means.
 
-    rho S_B + g_B + c (I - rho S_A - g_A),
+What no surface covers gets the gain of its surroundings, what lies behind one gain: the ratio of
+the lights' irradiances of vertical surfaces, in the mean over all azimuths. Between the two the
+matte mixes logarithms.
 
-c being what the two lights share: their own residual stays where the light stays. Shadows of A that
-lie elsewhere than the fitted head, or the shell of hair over it, has them stay in the albedo.
-
-All of that is computed of what the camera saw: an :class:`~skylight.imaging._edits.Edit` of the
+All of that is done to what the camera saw: an :class:`~skylight.imaging._edits.Edit` of the
 picture is undone before and done after.
-
-Hair, clothes and what else of a person is no skin are multiplied by the ratio of the smoothed
-shadings of head and bust, filled beyond these. What lies behind is multiplied by the ratio of the
-lights' irradiances of vertical surfaces, in the mean over all azimuths.
 """
 
 import math
@@ -28,74 +26,52 @@ from typing import Literal
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Shaped
+from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.estimation._kept import FaceReflection, FoundLight
+from skylight.faces._background import drawn_parts
 from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel, Region
 from skylight.faces._observe import SKIN_SPECULAR, hair_of
 from skylight.faces._segmentation import person_matte
 from skylight.imaging._edits import UNEDITED, Edit
 from skylight.imaging._photo import Photo
+from skylight.portrait._gain import (
+    EXACT,
+    SHARP,
+    Level,
+    Surface,
+    Unseen,
+    bounded,
+    enlarged,
+    float32,
+    soft_matte,
+    tinted,
+    unseen,
+)
 from skylight.portrait._surface import BUST, FACE_PX, HAIR, PersonSurface
 from skylight.sphere._envmap import LUMINANCE, EnvironmentMap, luminance
 from skylight.work._progress import Progress
 
-
-def blurred(
-    picture: Float[ndarray, "h w c"], weights: Float[ndarray, "h w"], sigma_px: float
-) -> Float[ndarray, "h w c"]:
-    """Normalised convolution (Knutsson and Westin 1993): ``G * (w x) / G * w``, G a Gaussian.
-
-    Where no pixel of weight lies near, it tends to 0.
-    """
-    above = cv2.GaussianBlur(float32(picture * weights[..., None]), (0, 0), sigma_px)
-    below = cv2.GaussianBlur(float32(weights), (0, 0), sigma_px)
-    return above.reshape(picture.shape) / np.maximum(below, 1e-6)[..., None]
-
-
-def filled(
-    picture: Float[ndarray, "h w c"], weights: Float[ndarray, "h w"]
-) -> Float[ndarray, "h w c"]:
-    """What weights of 0 to 1 leave unknown, from its surroundings by push and pull (Gortler et al.
-    1996): weighted means of ever larger neighbourhoods, interpolated back where detail lacks.
-    """
-    if min(weights.shape) < 2:
-        mean = np.average(picture.reshape(-1, picture.shape[2]), 0, weights.reshape(-1))
-        return np.where(weights[..., None] > 0, picture, mean)
-    pushed = cv2.pyrDown(float32(picture * weights[..., None]))
-    below = cv2.pyrDown(float32(weights))
-    coarse = pushed.reshape(*below.shape, -1) / np.maximum(below, 1e-12)[..., None]
-    pulled = cv2.pyrUp(
-        float32(filled(coarse, np.minimum(4 * below, 1))), dstsize=picture.shape[1::-1]
-    )
-    known = weights[..., None]
-    return known * picture + (1 - known) * pulled.reshape(picture.shape)
-
-
-def float32(picture: Shaped[ndarray, "*s"]) -> Float32[ndarray, "*s"]:
-    """As OpenCV takes it."""
-    return np.ascontiguousarray(picture, np.float32)
-
-
-# Lengths are in heights of the face.
-LOCAL = 0.12  # standard deviation of the Gaussian of local means of albedo
-SOFT = 0.06  # and of the shading of hair and clothes
-DARK = 0.1  # of the mean shading: l is its square
-BASE = 0.05  # of the mean shading: what ratios of smoothed shadings have in addition
-BRIGHTEST = 1.6  # times the local albedo: what is brighter is a highlight that stays behind
 # Of what the skin shows in any channel. Estimates take too much for specular reflection, most of
 # all of over-exposed skin; of the darkest skin a correct specular scale is cut too.
 MOST_SPECULAR = 0.4
-HAIR_COUNTS = 1e-3  # where skin's shading is filled in from, what covered pixels without skin count
 SKIN = (Region.FACE, Region.LIPS, Region.EAR, Region.NECK, Region.BROW)
+PLAIN = (Region.FACE, Region.EAR, Region.NECK)  # of one albedo, about
+BELOW = (Region.NECK, BUST)  # what long hair hangs in front of
 # Of the old picture: nothing more than is no light, the skin's brightness, or all of the place but
 # where its light comes from.
 Keep = Literal["nothing", "brightness", "place"]
 _LUMINANCE = np.array(LUMINANCE, np.float32)
+WHITE, MANY_WHITE = 0.98, 0.1  # over-exposed, and how much of the skin may be
+MORE_BEHIND = 6.0  # times the light that falls on the front of an upright surface
+FLAT = 0.2  # standard deviation of logarithms: skin that shows no direction of its light
+LITTLE = 0.3  # of the light's variation
+_BLACKEST = 0.01  # albedo
+_DOUBTED = 0.7  # of the gain, for each doubt
 SHARED_ROWS = 16  # cells of 11 degrees: how far a lamp moves until it is another one
 
 
@@ -103,13 +79,13 @@ SHARED_ROWS = 16  # cells of 11 degrees: how far a lamp moves until it is anothe
 class Portrait:
     """A photograph taken apart, so that any light can be put in the place of ``found``.
 
-    ``scene`` is the photograph before its ``edit``. ``albedo``, ``residual`` (h,w,3) and ``skin``
-    (h,w), how much of a pixel shows skin, are at the photograph's pixels, as is ``matte``, how much
-    of one is the person's. At the pixels of ``person``, ``shading`` and ``specular`` (p,q,3) are
-    S_A and g_A, ``local`` is rho_0, ``soft`` the smoothed S_A, ``bare`` where skin is, ``inside``
-    that without its border, which fades, and ``covered`` where there is any surface. ``mean`` (3,)
-    is the mean S_A of skin. ``specular_scale`` is at most that whose mean g_A over skin is
-    :data:`MOST_SPECULAR` of the photograph's in each channel.
+    ``scene`` is the photograph before its ``edit``, ``matte`` (h,w) how much of a pixel is the
+    person's. At the pixels of ``person``, ``shading`` and ``specular`` (p,q,3) are S_A and g_A,
+    ``on`` says where they show skin and any surface, and ``known`` where that stands for what the
+    picture shows, as the neck behind long hair does not. ``before`` is L_A, ``unseen`` U, and
+    ``mean`` (3,) the mean S_A of skin. ``albedo`` is that of skin in luminance. ``specular_scale``
+    is at most that whose mean g_A over skin is :data:`MOST_SPECULAR` of the photograph's in each
+    channel. ``strength`` is q, and ``doubts`` say why it is below 1.
     """
 
     photo: Float[ndarray, "h w 3"]
@@ -119,18 +95,17 @@ class Portrait:
     found: EnvironmentMap
     specular_scale: float
     grey: bool
-    albedo: Float[ndarray, "h w 3"]
-    residual: Float[ndarray, "h w 3"]
-    skin: Float[ndarray, "h w"]
+    albedo: float
     matte: Float[ndarray, "h w"]
     shading: Float[ndarray, "p q 3"]
     specular: Float[ndarray, "p q 3"]
-    local: Float[ndarray, "p q 3"]
-    soft: Float[ndarray, "p q 3"]
-    bare: Float[ndarray, "p q"]
-    inside: Float[ndarray, "p q"]
-    covered: Float[ndarray, "p q"]
+    on: Surface
+    known: Float[ndarray, "p q"]
     mean: Float[ndarray, "3"]
+    before: Level
+    unseen: Unseen
+    strength: float
+    doubts: tuple[str, ...]
 
     @staticmethod
     def of(
@@ -156,43 +131,36 @@ class Portrait:
         on_skin = np.isin(regions, SKIN) & (hair < 0.5)
         if not on_skin.any():
             raise InputError("the face is turned away or covered: no skin of it can be relit")
-        bare, covered = float32(on_skin), float32(regions >= 0)
-        mean, shine = shading[on_skin].mean(0), specular[on_skin].mean(0)
-        most = float((MOST_SPECULAR * small[on_skin].mean(0) / np.maximum(shine, 1e-12)).min())
-        specular_scale, specular = min(1.0, most) * specular_scale, min(1.0, most) * specular
-        lit, face_px = np.maximum(small - specular, 0), person.face_px
-        local = blurred(lit * shading, bare, LOCAL * face_px) / np.maximum(
-            blurred(shading**2, bare, LOCAL * face_px), 1e-12
-        )
-        inside = cv2.erode(bare, np.ones((3, 3), np.uint8))
-        inside = np.minimum(cv2.GaussianBlur(inside, (0, 0), 1.5), bare)
-
-        size, known = picture.shape[:2], _from_skin(bare, covered)
-        dark, usual = _enlarged(shading, known, size), _enlarged(local, known, size)
-        shine = _enlarged(specular, known, size)
-        least = (DARK * float(mean @ _LUMINANCE)) ** 2
-        albedo = (np.maximum(picture - shine, 0) * dark + least * usual) / (dark**2 + least)
-        albedo = np.minimum(albedo, BRIGHTEST * usual)
+        on = Surface(bare=float32(on_skin), covered=float32(regions >= 0), face_px=person.face_px)
+        mean, shine, shown = (on.mean(each) for each in (shading, specular, small))
+        most = min(1.0, float((MOST_SPECULAR * shown / np.maximum(shine, 1e-12)).min()))
+        specular = most * specular
+        albedo = float((shown - most * shine) @ _LUMINANCE / max(mean @ _LUMINANCE, 1e-12))
+        albedo = max(albedo, _BLACKEST)
+        before, exact = (Level.of(shading, specular / albedo, on, x) for x in (SHARP, EXACT))
+        plain = np.isin(regions, PLAIN) & on_skin
+        hidden = unseen(picture, before, exact, float32(plain) if plain.any() else on.bare, on)
+        head = float32((regions >= 0) & (regions != BUST))
+        doubts = _doubts(small[on_skin], found, hidden)
         return Portrait(
             photo=float32(photo.numpy()),
             edit=edit,
             scene=picture,
             person=person,
             found=found,
-            specular_scale=specular_scale,
+            specular_scale=most * specular_scale,
             grey=grey,
             albedo=albedo,
-            residual=picture - albedo * dark - shine,
-            skin=_resized(inside[..., None], size)[..., 0],
-            matte=float32(matte),
+            matte=soft_matte(picture, float32(matte), head, person.face_px),
             shading=shading,
             specular=specular,
-            local=local,
-            soft=blurred(shading, covered, SOFT * face_px),
-            bare=bare,
-            inside=inside,
-            covered=covered,
+            on=on,
+            known=on.covered * ~(np.isin(regions, BELOW) & (hair > 0.5)),
             mean=mean,
+            before=before,
+            unseen=hidden,
+            strength=_DOUBTED ** len(doubts),
+            doubts=doubts,
         )
 
     def under(
@@ -201,34 +169,36 @@ class Portrait:
         """The photograph in another light times an exposure, linear, and that exposure.
 
         ``keep``: "brightness" multiplies ``exposure`` by what leaves the mean shading of skin as
-        bright as it was. "place", of the light found but moved: white is balanced so that the mean
-        shading of skin keeps its colour, and what lies behind is not relit. Neither can be had of
+        bright as it was. "place", of the light found but moved: white is balanced so that skin
+        keeps its mean colour, and what lies behind is not relit. Neither can be had of
         light that does not reach the skin, which is shown as it is.
         """
-        size, known = self.scene.shape[:2], _from_skin(self.bare, self.covered)
+        size = (self.scene.shape[0], self.scene.shape[1])
         shading, specular = self.shaded_by(light)
-        received = shading[self.bare > 0].mean(0)
-        level, gains = 1.0, np.ones(3, np.float32)
+        received = self.on.mean(shading)
+        after = Level.of(shading, specular / self.albedo, self.on)
+        gain, tint = after.level - self.before.level, after.colour - self.before.colour
+        factor = 1.0
         if keep == "brightness" and received.any():
-            level = float(self.mean @ _LUMINANCE / (received @ _LUMINANCE))
+            factor = float(self.mean @ _LUMINANCE / (received @ _LUMINANCE))
         if keep == "place" and received.all():
-            gains = self.mean / received
-            gains *= (received @ _LUMINANCE) / ((gains * received) @ _LUMINANCE)
-        shading, specular = level * gains * shading, level * gains * specular
-        common = shared_light(self.found, light)
-        lit = _enlarged(shading, known, size)
-        skin = self.albedo * lit + _enlarged(specular, known, size) + common * self.residual
-        soft = blurred(shading, self.covered, SOFT * self.person.face_px)
-        base = BASE * float(self.mean @ _LUMINANCE)
-        ratio = np.log((soft + base) / (self.soft + base))
-        other = self.scene * np.exp(_enlarged(ratio, self.covered, size))
-        share, within = self.skin[..., None], self.matte[..., None]
-        person = share * skin + (1 - share) * other
-        behind = self.scene if keep == "place" else self.scene * (level * self._behind(light))
-        picture = np.maximum(within * person + (1 - within) * behind, 0)
+            tint = tint - self.on.mean(tint)
+        other = 1 - shared_light(self.found, light)
+        typical = float(self.on.mean(gain[..., None])[0])
+        changed = gain + math.log(factor)
+        tint = tinted(tint + other * self.unseen.colour, changed, self.unseen.skin, self.on)
+        large = enlarged(np.dstack([tint, gain]), self.known, size)
+        gain = large[..., 3] + other * self.unseen.level - typical
+        person = large[..., :3] + (self.strength * bounded(gain) + typical)[..., None]
+        person += math.log(factor)
+        behind = np.zeros(3, np.float32)
+        if keep != "place":
+            behind = np.log(np.maximum(factor * self._behind(light), 1e-9))
+        within = self.matte[..., None]
+        picture = self.scene * np.exp(within * person + (1 - within) * behind)
         # what an edit made black is not known again: where nothing changed, nothing changes
         picture = self._edited(picture) + (self.photo - self._edited(self.scene))
-        return exposure * np.maximum(picture, 0), exposure * level
+        return exposure * np.maximum(picture, 0), exposure * factor
 
     def _edited(self, picture: Float[ndarray, "h w 3"]) -> Float[ndarray, "h w 3"]:
         return self.edit.apply(torch.from_numpy(picture)).numpy()
@@ -245,6 +215,24 @@ class Portrait:
         if self.grey:
             before, after = luminance(before), luminance(after)
         return float32((after / before).expand(3).numpy())
+
+
+def _doubts(skin: Float[ndarray, "n 3"], found: EnvironmentMap, hidden: Unseen) -> tuple[str, ...]:
+    """Why new light is laid on weaker: each a line to be read."""
+    white = float((skin.max(1) >= WHITE).mean())
+    front, back = (
+        float(luminance(found.irradiance(torch.tensor([0.0, 0.0, z])))) for z in (1.0, -1.0)
+    )
+    doubts: list[str] = []
+    if white > MANY_WHITE:
+        doubts.append(
+            f"{100 * white:.0f} % of the skin is over-exposed and has no shape to relight"
+        )
+    if back > MORE_BEHIND * front:
+        doubts.append("the photograph's light is from behind: of the face it tells little")
+    if hidden.slope < LITTLE and hidden.contrast > FLAT:
+        doubts.append("the shadows on the face are not those of the light found, so they stay")
+    return tuple(f"{doubt}; the new light is weaker" for doubt in doubts)
 
 
 def shared_light(one: EnvironmentMap, other: EnvironmentMap) -> float:
@@ -289,25 +277,6 @@ def _images(
     return diffuse, specular
 
 
-def _from_skin(
-    bare: Float[ndarray, "p q"], covered: Float[ndarray, "p q"]
-) -> Float[ndarray, "p q"]:
-    """Weights to fill from: skin's shading goes on beyond its border before that of hair does."""
-    return np.maximum(bare, HAIR_COUNTS * covered)
-
-
-def _enlarged(
-    picture: Float[ndarray, "p q c"], known: Float[ndarray, "p q"], size: tuple[int, int]
-) -> Float[ndarray, "h w c"]:
-    return _resized(filled(picture, known), size)
-
-
-def _resized(picture: Float[ndarray, "p q c"], size: tuple[int, int]) -> Float[ndarray, "h w c"]:
-    return cv2.resize(float32(picture), size[::-1], interpolation=cv2.INTER_LINEAR).reshape(
-        *size, -1
-    )
-
-
 def portrait_of(
     photo: Photo,
     fit: FaceFit,
@@ -342,6 +311,8 @@ def portrait_of(
         hairy,
         person.face_px,
     )
+    head = cv2.resize(float32(regions >= 0), matte.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    matte = matte * (1 - drawn_parts(photo.encoded, np.maximum(matte, head)))
     return Portrait.of(
         photo.pixels,
         person,

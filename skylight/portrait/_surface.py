@@ -24,9 +24,10 @@ from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel, Region
 from skylight.faces._normal_errors import normal_changes
 from skylight.faces._observe import skin_seen
-from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._envmap import EnvironmentMap, bilinear_taps
+from skylight.sphere._frame import pixel_from_direction
 from skylight.transport._cameras import Camera
-from skylight.transport._matrix import BLOCK_DIRECTIONS, SeenDirections, SurfaceRays
+from skylight.transport._matrix import SeenDirections
 from skylight.transport._rays import Raycaster
 from skylight.transport._reflection import specular_lobe
 from skylight.transport._render import (
@@ -83,7 +84,7 @@ def _faces_camera(
     return (((normals * towards).sum(1) > 0) & ~hidden).numpy()
 
 
-FACE_PX = 144  # height of the face's skin where shading is computed; photographs are not enlarged
+FACE_PX = 96  # height of the face's skin where shading is computed; photographs are not enlarged
 HAIR, BUST = 254, 255  # among the regions
 FINE_ROWS = 128  # of the grid of bright pixels: cells of 1.4 degrees
 _BLOCK_POINTS = 256
@@ -111,7 +112,6 @@ class PersonSurface:
     normals: Float[Tensor, "m 3"]
     regions: UInt8[Tensor, " m"]
     sight: SeenDirections
-    rays: SurfaceRays
 
     @staticmethod
     def of(
@@ -129,7 +129,7 @@ class PersonSurface:
         ``hair`` is how likely a pixel of the photograph shows hair; without it the head has no
         shell of hair.
 
-        Visibility is that of 32 rows of directions; m * 2048 bytes, 80 MB of 40,000 pixels.
+        Visibility is that of 32 rows of directions; m * 2048 bytes, 40 MB of 20,000 pixels.
         """
         model = HeadModel.load()
         height = float(np.ptp(skin_seen(model, fit)[:, 1]))
@@ -172,9 +172,6 @@ class PersonSurface:
             normals=normals,
             regions=torch.from_numpy(of_vertices)[corners],
             sight=sight,
-            rays=SurfaceRays.leaving(
-                surface.origins, normals, surface.geometric_normals, raycaster
-            ),
         )
 
     def region_image(self) -> Int[np.ndarray, "h w"]:
@@ -185,29 +182,34 @@ class PersonSurface:
     def shade(self, light: EnvironmentMap, specular: Specular) -> Shading:
         """Direct light with shadows: ``sum_w V <n, w>+ L dw / pi``, and so with f_s for 1 / pi.
 
-        Bright pixels of the map are cast one by one on 128 rows, the rest is averaged onto 32.
+        On the 32 rows on which sight is kept: no light is narrower than their 5.6 degrees.
         """
-        smooth, directions, flux = split_bright(light, FINE_ROWS)
-        if smooth.layout[0] != SMOOTH_HEIGHT:
-            raise ValueError(f"a map needs {SMOOTH_HEIGHT} rows or more, got {light.layout[0]}")
+        radiance = softened(light).flat.float()
         normals = self.normals.float()
         views = -normalize(self.surface.positions, dim=1).float()
         diffuse, reflected = torch.zeros(2, len(normals), 3)
-        towards, radiance = self.sight.grid.directions.float(), smooth.flat.float()
+        towards = self.sight.grid.directions.float()
         for points in torch.arange(len(normals)).split(_BLOCK_POINTS):
             transport = self.sight[points]  # V <n, w>+ dw / pi
             lobe = specular_lobe(normals[points], views[points], towards, specular)
             diffuse[points] = transport @ radiance
             reflected[points] = (math.pi * transport * lobe) @ radiance
-        for some, sent in zip(
-            directions.float().split(BLOCK_DIRECTIONS),
-            flux.float().split(BLOCK_DIRECTIONS),
-            strict=True,
-        ):
-            seen = torch.from_numpy(self.rays.visible_cosines(some.numpy())).T
-            diffuse += seen @ sent / math.pi
-            reflected += (seen * specular_lobe(normals, views, some, specular)) @ sent
         return Shading(diffuse=diffuse, specular=reflected)
+
+
+def softened(light: EnvironmentMap) -> EnvironmentMap:
+    """A map on 32 rows: bright pixels spread over the four cells about them, the rest averaged.
+
+    So a shadow moves evenly with its light, as it does not where a lamp is in one cell or the next.
+    """
+    smooth, directions, flux = split_bright(light, FINE_ROWS)
+    if smooth.layout[0] != SMOOTH_HEIGHT:
+        raise ValueError(f"a map needs {SMOOTH_HEIGHT} rows or more, got {light.layout[0]}")
+    index, share = bilinear_taps(*smooth.layout, *pixel_from_direction(directions, *smooth.layout))
+    radiance = smooth.flat.double()
+    sent = share[..., None] * flux[:, None] / smooth.grid.solid_angles[index][..., None]
+    radiance = radiance.index_add(0, index.reshape(-1), sent.reshape(-1, 3))
+    return EnvironmentMap(radiance=radiance.reshape(smooth.radiance.shape).to(smooth.radiance))
 
 
 def scaled(camera: Camera, scale: float) -> Camera:

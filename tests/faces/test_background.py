@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.faces._background import BackgroundPixels, _in_blocks, _outdoors
+from skylight.faces._background import BackgroundPixels, _in_blocks, _outdoors, drawn_parts
 from skylight.imaging._colour import linear_to_srgb, srgb_to_linear
 from skylight.sphere._frame import pixel_from_direction
 from skylight.transport._cameras import Camera
@@ -250,3 +250,16 @@ def test_plants_and_a_bright_blue_above_are_outdoors(
     picture[:60:2], bright[:60:2] = 0.2 * exposure, 1.0
     assert _outdoors(picture, bright, upper, contrast) == expected
     assert not _outdoors(np.where(upper[:, None], 0.2, picture), bright, upper, 0.3)
+
+
+def test_the_white_about_a_round_crop_is_drawn_and_the_person_is_not() -> None:
+    rows, columns = np.mgrid[:200, :200] - 99.5
+    inside = rows**2 + columns**2 < 95**2
+    noise = np.random.default_rng(0).integers(60, 200, (200, 200, 3))
+    codes = np.where(inside[..., None], noise, 255).astype(np.uint8)
+    person = ((np.abs(columns) < 40) & (rows > -60)).astype(np.float32)
+    drawn = drawn_parts(codes, person)
+    assert drawn[~inside & (np.hypot(rows, columns) > 105)].min() == 1
+    assert drawn[rows**2 + columns**2 < 80**2].max() == 0
+    assert drawn_parts(np.full_like(codes, 255), person).shape == (200, 200)
+    assert drawn_parts(noise.astype(np.uint8), person).max() == 0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skylight.portrait._relit import blurred, filled
+from skylight.portrait._gain import blurred, filled
 
 
 def known_half(shape: tuple[int, int]) -> np.ndarray:

@@ -18,6 +18,7 @@ from skylight.estimation._photos import Pictures
 from skylight.io._files import write_png
 from skylight.portrait import _asked as asked, _folder as folder_module
 from skylight.portrait._folder import relight_one
+from skylight.portrait._gain import resized
 from skylight.portrait._relit import Portrait, light_in_photo, portrait_of
 from tests.sunny_face import known_face
 
@@ -73,7 +74,7 @@ def kept(photo: Path, folder: Path) -> None:
 def halves(path: Path) -> tuple[float, float]:
     """Mean codes of skin left and right of the middle of the face."""
     codes = np.array(Image.open(path).convert("RGB")).astype(float).mean(2)
-    rows, columns = np.nonzero(small().skin > 0.5)
+    rows, columns = np.nonzero(resized(small().on.bare, small().scene.shape[:2]) > 0.5)
     is_left = columns < columns.mean()
     return codes[rows, columns][is_left].mean(), codes[rows, columns][~is_left].mean()
 

@@ -163,7 +163,7 @@ def test_a_key_lights_the_side_of_the_picture_that_it_is_named_by(
     """Mean shading of skin left and right, above and below the middle of the face."""
     face = portrait()
     shading, _ = face.shaded_by(key_light(known_face(), key).environment)
-    rows, columns = np.nonzero(face.bare)
+    rows, columns = np.nonzero(face.on.bare)
     bright = shading.mean(2)[rows, columns]
     right = np.average(columns, weights=bright) - columns.mean()
     below = np.average(rows, weights=bright) - rows.mean()

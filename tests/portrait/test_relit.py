@@ -1,6 +1,7 @@
 """A portrait taken apart and put together in another light."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -12,13 +13,15 @@ from skylight.errors import InputError
 from skylight.faces._model import Region
 from skylight.faces._observe import SKIN_SPECULAR
 from skylight.imaging._edits import UNEDITED, Edit
+from skylight.portrait._gain import BRIGHTER, DARKER, TINTED, bounded, soft_matte
 from skylight.portrait._relit import MOST_SPECULAR, Keep, Portrait, shared_light, upright_irradiance
-from skylight.portrait._surface import BUST, PersonSurface, Shading, scaled
-from skylight.sphere._envmap import EnvironmentMap
-from skylight.transport._render import render_diffuse
+from skylight.portrait._surface import BUST, PersonSurface, Shading, scaled, softened
+from skylight.sphere._envmap import LUMINANCE, EnvironmentMap
+from skylight.transport._reflection import specular_lobe
 from tests.sunny_face import direction, sunny_face
 
 SPECULAR_SCALE = 0.8
+LUMINANCE_ = np.array(LUMINANCE)
 ALBEDO = np.array([0.45, 0.3, 0.22], np.float32)
 
 
@@ -76,32 +79,36 @@ def on_skin() -> np.ndarray:
     return np.isin(person().region_image(), (Region.FACE, Region.NECK))
 
 
-def test_shading_is_the_reference_renderers() -> None:
-    face, light = sunny_face(40.0, 50.0), sunny(-50.0, 40.0)
-    one = person()
-    ours = shade(light)
-    count = len(one.surface)
-    want = render_diffuse(
-        one.surface,
-        light,
-        torch.ones(count, 3),
-        one.rays.raycaster,  # type: ignore[arg-type]
-        fine_height=128,
+def test_a_softened_map_keeps_light_where_it_is() -> None:
+    """No cell has all of a sun, and every plane receives what it did."""
+    light, soft = sunny(-50.0, 40.0), softened(sunny(-50.0, 40.0))
+    torch.testing.assert_close(
+        soft.integrate().double(), light.integrate().double(), rtol=1e-4, atol=0
     )
-    off = (ours.diffuse - want).abs().mean() / want.mean()
-    assert off < 0.004  # rays that adaptive visibility leaves out
-    with_specular = render_diffuse(
-        one.surface,
-        light,
-        torch.ones(count, 3),
-        one.rays.raycaster,  # type: ignore[arg-type]
-        specular=SKIN_SPECULAR,
-        fine_height=128,
-    )
-    off = (ours.specular - (with_specular - want)).abs().mean() / ours.specular.mean()
-    assert off < 0.01
-    assert one.face_px == pytest.approx(40.0)
-    assert face.truth.camera.height / one.camera.height > 1
+    for normal in ([0.0, 1.0, 0.0], [-0.6, 0.0, 0.8], [0.0, 0.0, 1.0]):
+        one, other = (each.irradiance(torch.tensor(normal)) for each in (soft, light))
+        torch.testing.assert_close(one.double(), other.double(), rtol=0.01, atol=0.01)
+    share = (soft.flat - 0.4).clamp(min=0)[:, 0] * soft.grid.solid_angles
+    assert 0.2 < share.max() / share.sum() < 0.99
+
+
+def test_shading_in_the_open_is_lamberts_and_the_lobes() -> None:
+    """Of what sees all about the sun: ``E <n, d> / pi`` and ``E f_s <n, d>`` more than the rest."""
+    one, towards = person(), direction(-50.0, 40.0).float()
+    grid = one.sight.grid
+    near = (grid.directions.float() @ towards) > math.cos(math.radians(12))
+    cosine = one.normals.float() @ towards
+    free = one.sight.visible[:, near].all(1) & (cosine > 0.4)
+    assert free.sum() > 50
+    sun = torch.tensor([2.0, 1.8, 1.5])
+    lit, rest = shade(sunny(-50.0, 40.0)), shade(even(0.4))
+    want = cosine[free, None] * sun / math.pi
+    torch.testing.assert_close((lit.diffuse - rest.diffuse)[free], want, rtol=0.03, atol=0.005)
+    views = -torch.nn.functional.normalize(one.surface.positions, dim=1).float()
+    lobe = specular_lobe(one.normals.float(), views, towards[None], SKIN_SPECULAR)
+    want = (lobe * cosine[:, None])[free] * sun
+    off = ((lit.specular - rest.specular)[free] - want).abs().mean()
+    assert off < 0.1 * want.mean()  # the lobe is narrower than the light
 
 
 def test_head_and_bust_are_seen_and_the_head_shades_the_bust() -> None:
@@ -134,7 +141,7 @@ def test_a_person_of_the_model_is_relit_as_the_model_is(keep: Keep) -> None:
     inner = on_skin()
     error = np.abs(picture - want)[inner].mean() / want[inner].mean()
     unchanged = np.abs(image(old) * exposure - want)[inner].mean() / want[inner].mean()
-    assert error < 0.03  # a regularised albedo where the old light was dark
+    assert error < 0.1  # shading is smoothed by 2 % of the face's height, and gains are bounded
     assert unchanged > 0.15
     if keep == "brightness":
         lum = np.array([0.2126, 0.7152, 0.0722])
@@ -178,12 +185,12 @@ def test_twice_the_exposure_is_twice_the_picture(keep: Keep) -> None:
 
 
 def test_specular_reflection_is_no_more_than_a_part_of_what_skin_shows() -> None:
-    """A blue channel taken for specular reflection alone would leave no albedo there."""
+    """A blue channel taken for specular reflection alone would leave no diffuse one there."""
     light = sunny(40.0, 50.0)
     seen = image(light)
     seen[..., 2] *= 0.2
     one = portrait(light, seen)
-    skin = one.bare > 0
+    skin = one.on.bare > 0
     assert one.specular_scale < SPECULAR_SCALE
     _, specular = one.shaded_by(light)
     np.testing.assert_allclose(specular, one.specular, rtol=1e-5)
@@ -201,7 +208,7 @@ def test_what_the_limit_of_specular_reflection_costs_the_darkest_skin() -> None:
     picture, _ = one.under(new)
     want, inner = image(new, dark)[on_skin()], on_skin()
     error = np.abs(picture[inner] - want).mean() / want.mean()
-    assert error < 0.08  # 0.045 without the limit, 0.27 where nothing is relit
+    assert error < 0.15  # 0.27 where nothing is relit
 
 
 def test_the_bust_gets_the_ratio_of_smoothed_shadings() -> None:
@@ -211,9 +218,105 @@ def test_the_bust_gets_the_ratio_of_smoothed_shadings() -> None:
     inner = cv2.erode((person().region_image() == BUST).astype(np.uint8), np.ones((3, 3))) > 0
     assert inner.sum() > 5
     lit, want = picture[inner].mean(0), image(new)[inner].mean(0)
-    np.testing.assert_allclose(lit, want, rtol=0.15)  # with a base, and smoothed over the border
     before = image(old)[inner].mean(0)
     assert (want > 1.4 * before).all()
+    # with a base, smoothed over the border, and bounded
+    assert (lit > before + 0.5 * (want - before)).all()
+    assert (lit < 1.05 * want).all()
+
+
+def hard(azimuth_deg: float) -> EnvironmentMap:
+    """Almost all light from one side."""
+    dim = EnvironmentMap(radiance=torch.full((64, 128, 3), 0.08))
+    return dim.with_light(direction(azimuth_deg, 70.0), torch.full((3,), 3.0))
+
+
+def varies(picture: np.ndarray) -> float:
+    """How much skin's logarithm does."""
+    return float(np.log(picture[on_skin()] @ LUMINANCE_ + 1e-3).std())
+
+
+def test_shadows_that_the_picture_lacks_are_not_inverted() -> None:
+    """A face in even light, for which a hard light was found, stays without shadows in even."""
+    flat = image(even())
+    picture, _ = portrait(hard(120.0), flat).under(even())
+    wrong = image(even()) / np.maximum(image(hard(120.0)), 1e-3) * flat  # a ratio of shadings
+    assert varies(picture) < varies(flat) + 0.1
+    assert varies(wrong) > varies(flat) + 0.3
+
+
+def test_shadows_that_the_picture_shows_are_taken_away() -> None:
+    seen = image(hard(120.0))
+    picture, _ = portrait(hard(120.0), seen).under(even())
+    assert varies(picture) < 0.6 * varies(seen)
+
+
+def test_gains_are_bounded_on_either_side_of_their_mean() -> None:
+    black = EnvironmentMap(radiance=torch.full((64, 128, 3), 1e-4))
+    lamp = black.with_light(direction(80.0, 80.0), torch.full((3,), 10.0))
+    seen = image(even())
+    picture, _ = portrait(even(), seen).under(lamp)
+    gain = np.log((picture[on_skin()] @ LUMINANCE_) / (seen[on_skin()] @ LUMINANCE_))
+    assert np.ptp(gain) < BRIGHTER + DARKER + 2 * TINTED
+    assert np.ptp(gain) > 1  # and there is something to bound
+    x = np.linspace(-0.1, 0.1, 5, dtype=np.float32)
+    np.testing.assert_allclose(bounded(x), x, atol=1e-3)
+    np.testing.assert_allclose(bounded(np.float32([-90, 90])), [-DARKER, BRIGHTER])
+
+
+def test_grey_shadows_get_the_colour_of_skin_with_their_new_light() -> None:
+    """A photograph has less colour in shadows; what is lit anew is as red as the rest."""
+    old = hard(120.0)
+    seen = image(old)
+    dark = (seen @ LUMINANCE_ < 0.4 * np.median(seen[on_skin()] @ LUMINANCE_)) & on_skin()
+    assert dark.sum() > 50
+    seen[dark] = (seen[dark] @ LUMINANCE_)[:, None]
+
+    def red(picture: np.ndarray) -> float:
+        return float((picture[dark] / picture[dark].sum(-1, keepdims=True))[:, 0].mean())
+
+    picture, _ = portrait(old, seen).under(even())
+    same, _ = portrait(old, seen).under(old)
+    assert red(seen) + 0.02 < red(picture) < red(image(old))
+    assert red(same) == pytest.approx(red(seen), abs=1e-5)
+
+
+def test_what_cannot_be_relit_is_relit_weaker_and_said() -> None:
+    light, other = sunny(40.0, 50.0), hard(-60.0)
+    plain = of_the_model(light)
+    assert (plain.strength, plain.doubts) == (1.0, ())
+    white = portrait(light, np.minimum(8 * image(light), 1))
+    assert any("over-exposed" in line for line in white.doubts)
+    behind = portrait(hard(10.0), image(hard(10.0)))
+    assert any("from behind" in line for line in behind.doubts)
+    rng = np.random.default_rng(2)
+    spots = cv2.GaussianBlur(rng.normal(size=on_skin().shape).astype(np.float32), (0, 0), 4.0)
+    spotted = image(even()) * np.exp(0.4 * spots / spots.std())[..., None]
+    strange = portrait(hard(120.0), spotted.astype(np.float32))
+    assert any("not those" in line for line in strange.doubts)
+    for one in (white, behind, strange):
+        assert one.strength < 1
+        weak, _ = one.under(other)
+        full, _ = replace(one, strength=1.0).under(other)
+        inner = on_skin()
+        ratios = [np.log((x @ LUMINANCE_ + 1e-6) / (one.scene @ LUMINANCE_ + 1e-6))[inner]
+                  for x in (weak, full)]  # fmt: skip
+        assert ratios[0].std() < ratios[1].std()
+
+
+def test_a_matte_is_soft_in_clothes_and_sharp_at_the_head_and_at_edges() -> None:
+    cut = np.zeros((120, 120), np.float32)
+    cut[:, :60] = 1
+    head = np.zeros((60, 60), np.float32)
+    head[:20] = 1
+    grey = np.full((120, 120, 3), 0.5, np.float32)
+    soft = soft_matte(grey, cut, head, 40.0)
+    near = np.abs(np.arange(120) - 59.5) < 5
+    np.testing.assert_allclose(soft[:20, ~near], cut[:20, ~near], atol=1e-3)
+    assert np.abs(np.diff(soft[110])).max() < 0.2
+    assert 0.1 < soft[110, 55] < 0.9
+    edge = soft_matte(np.where(cut[..., None] > 0, grey, 0.1), cut, head, 40.0)
+    assert np.abs(np.diff(edge[110])).max() > 0.8
 
 
 def test_grey_pictures_stay_grey() -> None:

@@ -38,6 +38,7 @@ from skylight.imaging._photo import Photo
 from skylight.io._bounded import json_content, write_json
 from skylight.io._tensors import write_tensors
 from skylight.portrait._files import KNEE
+from skylight.portrait._gain import BASE, BRIGHTER, DARKER, SHARP, SHINE, SOFT, TINT, TINTED
 from skylight.portrait._keys import (
     KEY_OVER_FILL,
     KEYS,
@@ -49,11 +50,6 @@ from skylight.portrait._keys import (
     fill_of,
 )
 from skylight.portrait._relit import (
-    BASE,
-    BRIGHTEST,
-    DARK,
-    HAIR_COUNTS,
-    SOFT,
     Portrait,
     coarse_power,
     light_in_photo,
@@ -94,9 +90,9 @@ def keep_person(folder: Path, result: PhotoEstimate, command: dict[str, Any]) ->
 
 FILE = "portrait.safetensors"
 PIXELS = 1280 * 720  # of the picture
-FACE_PX = 96  # height of the face where shading is computed
 _MAP_ROWS = 64  # of the rest of the light, to be looked at
-_MARGIN = 24  # of the part of the shading that is sent, in its pixels: as far as it is blurred
+_UNSEEN = 1.5  # logarithm, the largest that is sent
+_MARGIN = 46  # of the part of the shading that is sent, in its pixels: as far as it is blurred
 
 
 def take_apart(
@@ -112,7 +108,6 @@ def take_apart(
         fit,
         face.reflection,
         light_in_photo(face),
-        face_px=FACE_PX,
         workers=cores(),
         progress=lambda share: tell("tracing light", share),
     )
@@ -129,14 +124,16 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     ``picture`` (h,w,4) has the photograph's sRGB codes, cut off at white, and its matte. ``crop``
     (left, top, width, height) is the part of the shading's picture, ``size`` (width, height), that
     holds person and surface; ``places`` (m,) are the points' in it. ``visible`` (m,256) has a bit
-    for each of 32 x 64 directions, the lowest first. ``found_power`` and ``rest_power`` are
-    :func:`~skylight.portrait._relit.coarse_power`; ``rest_map`` is to be looked at. The rest of
-    the light is R of :mod:`skylight.portrait._keys`, whose c and B are ``colour`` and ``fill``;
-    ``ball`` is how bright the light found makes the ball, ``metered`` its weight of the key light.
+    for each of 32 x 64 directions, the lowest first. ``unseen`` (h,w) is that of
+    :class:`~skylight.portrait._gain.Unseen`, from -:data:`_UNSEEN` to that in 255 steps.
+    ``found_power`` and ``rest_power`` are :func:`~skylight.portrait._relit.coarse_power`;
+    ``rest_map`` is to be looked at. The rest of the light is R of :mod:`skylight.portrait._keys`,
+    whose c and B are ``colour`` and ``fill``; ``ball`` is how bright the light found makes the
+    ball, ``metered`` its weight of the key light.
     """
     surface, rest = portrait.person.surface, fill_of(face)
     rest_shading, rest_specular = portrait.shaded_by(rest)
-    rows, columns = np.nonzero(portrait.covered)  # row by row, as the surface has them
+    rows, columns = np.nonzero(portrait.on.covered)  # row by row, as the surface has them
     left, top, width, height = _crop(portrait)
     codes = (linear_to_srgb(torch.from_numpy(portrait.photo).clamp(0, 1)) * 255).round()
     matte = torch.from_numpy(portrait.matte * 255).round()
@@ -145,14 +142,17 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     of_points = {
         "shading": portrait.shading,
         "glossy": portrait.specular,
-        "local": portrait.local,
         "rest_shading": rest_shading,
         "rest_glossy": rest_specular,
-        "inside": portrait.inside,
-        "bare": portrait.bare,
+        "unseen_tint": portrait.unseen.colour,
+        "skin_tint": portrait.unseen.skin,
+        "bare": portrait.on.bare,
+        "known": portrait.known,
     }
+    steps = 127.5 * (portrait.unseen.level / _UNSEEN + 1)
     tensors = {
         "picture": torch.cat([codes, matte[..., None]], 2).to(torch.uint8),
+        "unseen": torch.from_numpy(steps.round().clip(0, 255)).to(torch.uint8),
         "places": torch.from_numpy((rows - top) * width + columns - left).int(),
         "normals": portrait.person.normals.float(),
         "views": -normalize(surface.positions, dim=1).float(),
@@ -166,7 +166,8 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     }
     facts = {
         "warning": face.warning,
-        "size": portrait.covered.shape[::-1],
+        "doubts": list(portrait.doubts),
+        "size": portrait.on.covered.shape[::-1],
         "crop": [left, top, width, height],
         "keys": dict(KEYS),
         "usual": {"size_deg": USUAL_DEG, "strength": KEY_OVER_FILL},
@@ -176,11 +177,13 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "metered": float(ball_weights(direction_seen(*METERED))),
         "gloss": portrait.specular_scale,
         "lobe": {"f0": SKIN_SPECULAR.f0, "alpha": SKIN_SPECULAR.alpha},
-        "soft_px": SOFT * portrait.person.face_px,
-        "dark": DARK,
+        "sigmas_px": [x * portrait.on.face_px for x in (SHARP, SOFT, TINT)],
         "base": BASE,
-        "brightest": BRIGHTEST,
-        "hair_counts": HAIR_COUNTS,
+        "shine": SHINE / portrait.albedo,
+        "most": [BRIGHTER, DARKER],
+        "tinted": TINTED,
+        "unseen": _UNSEEN,
+        "doubted": portrait.strength,
         "knee": KNEE,
         "edit": asdict(portrait.edit),
     }
@@ -193,8 +196,10 @@ def _bits(visible: Tensor) -> UInt8[Tensor, "m b"]:
 
 def _crop(portrait: Portrait) -> tuple[int, int, int, int]:
     """(left, top, width, height) of what holds surface and matte, with a margin."""
-    shown = cv2.resize(portrait.matte, portrait.covered.shape[::-1], interpolation=cv2.INTER_AREA)
-    inside = (shown > 0) | (portrait.covered > 0)
+    shown = cv2.resize(
+        portrait.matte, portrait.on.covered.shape[::-1], interpolation=cv2.INTER_AREA
+    )
+    inside = (shown > 0) | (portrait.on.covered > 0)
     ends: list[tuple[int, int]] = []
     for axis in (0, 1):
         (along,) = np.nonzero(inside.any(axis))

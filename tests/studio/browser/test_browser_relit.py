@@ -18,6 +18,7 @@ from PIL import Image
 
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.portrait._files import relit_portrait, shown, taken_apart
+from skylight.portrait._gain import resized
 from skylight.portrait._keys import KEY_OVER_FILL, KEYS, SOFT_DEG, USUAL_DEG, key_light
 from tests.studio.browser.pictures import pixels
 from tests.studio.browser.test_browser import LINE, picture
@@ -101,7 +102,8 @@ def test_the_key_is_dragged_and_the_person_follows_as_the_command_has_it(
     result = apart().result
     portrait = taken_apart(result)
     seen = result.photos[0].encoded.astype(int)
-    person, skin = portrait.matte > 0.5, portrait.skin > 0.5
+    person = portrait.matte > 0.5
+    skin = person & (resized(portrait.on.bare, seen.shape[:2]) > 0.5)
     behind = read_tensors(apart().file)[0]["picture"][..., 3].numpy() == 0
     sides = []
     for azimuth, elevation in ((-110.0, 30.0), (120.0, 55.0), (10.0, 40.0)):

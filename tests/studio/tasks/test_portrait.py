@@ -21,15 +21,11 @@ from skylight.estimation._kept import KeptFace, read_face, warning_of
 from skylight.faces._fit import FaceFit
 from skylight.imaging._photo import read_photo
 from skylight.io._tensors import read_tensors
+from skylight.portrait._gain import Level, filled, tinted
 from skylight.portrait._keys import KEYS, key_light
 from skylight.portrait._relit import (
-    BASE,
-    HAIR_COUNTS,
-    SOFT,
     Portrait,
-    blurred,
     coarse_power,
-    filled,
     light_in_photo,
     portrait_of,
     shared_light,
@@ -40,7 +36,7 @@ from skylight.studio._guard import Limits
 from skylight.studio._jobs import Job, State
 from skylight.studio._server import make_application
 from skylight.studio._state import Studio, Upload
-from skylight.studio.tasks._portrait import FACE_PX, command_of, packed, take_apart
+from skylight.studio.tasks._portrait import _UNSEEN, command_of, packed, take_apart
 from tests.studio.conftest import finished
 from tests.studio.tasks.conftest import TakenApart, Told
 from tests.studio.tasks.taken_apart import PHOTO, apart
@@ -59,10 +55,10 @@ const light = new KeyLight(readPerson(Uint8Array.from(Buffer.from(file, "base64"
 const coded = ({ buffer, byteOffset, byteLength }) =>
     Buffer.from(buffer, byteOffset, byteLength).toString("base64");
 const answers = keys.map(([azimuth, zenith, strength, size]) => {
-    const { shading, glossy, ratio, common } = light.under(azimuth, zenith, strength, size);
-    return { shading: coded(shading), glossy: coded(glossy), ratio: coded(ratio), common };
+    const { gain, typical, common } = light.under(azimuth, zenith, strength, size);
+    return { gain: coded(gain), typical, common };
 });
-const told = JSON.stringify({ skin: light.skin, whole: light.whole, answers });
+const told = JSON.stringify({ grid: light.grid, answers });
 process.stdout.write(told, () => process.exit(0));
 """
 # looked for before a person is rendered for them
@@ -80,9 +76,8 @@ LIGHTS = (
 def small() -> Portrait:
     """The portrait at the page's size."""
     kept = KeptFace.of(apart().result)
-    return portrait_of(
-        read_photo(apart().photo), kept.fit, kept.reflection, light_in_photo(kept), face_px=FACE_PX
-    )
+    photo = read_photo(apart().photo)
+    return portrait_of(photo, kept.fit, kept.reflection, light_in_photo(kept))
 
 
 def by_the_page(lights: Sequence[tuple[float, float, float, float]]) -> dict[str, Any]:
@@ -90,31 +85,32 @@ def by_the_page(lights: Sequence[tuple[float, float, float, float]]) -> dict[str
     keys = [(180 - azimuth, 90 - elevation, *more) for azimuth, elevation, *more in lights]
     file = base64.b64encode(apart().file.read_bytes()).decode()
     answer = run_in_node(_PROGRAM, {"file": file, "keys": keys})
+    shape = answer["grid"]["height"], answer["grid"]["width"], 4
     for one in answer["answers"]:
-        for name, grid in (("shading", "skin"), ("glossy", "skin"), ("ratio", "whole")):
-            values = np.frombuffer(base64.b64decode(one[name]), np.float32)
-            one[name] = values.reshape(answer[grid]["height"], answer[grid]["width"], 3)
+        one["gain"] = np.frombuffer(base64.b64decode(one["gain"]), np.float32).reshape(shape)
     return answer
 
 
-def in_grid(
-    image: Float[np.ndarray, "p q *c"], grid: dict[str, int]
-) -> Float[np.ndarray, "h w *c"]:
-    """The part of the shading's picture that a grid of pixels shows."""
-    rows = slice(grid["top"], grid["top"] + grid["height"] * grid["step"])
-    columns = slice(grid["left"], grid["left"] + grid["width"] * grid["step"])
-    return image[rows, columns]
+def in_grid(image: Float[np.ndarray, "p q *c"], grid: dict[str, int]) -> np.ndarray:
+    """The middle of each of a grid's cells of 2 x 2 pixels, where these lie in the picture."""
+    top, left, step = grid["top"], grid["left"], grid["step"]
+    part = image[top : top + step * grid["height"], left : left + step * grid["width"]]
+    rows, columns = (step * (size // step) for size in part.shape[:2])
+    part = part[:rows, :columns]
+    return part.reshape(rows // step, step, columns // step, step, *part.shape[2:]).mean((1, 3))
 
 
-def balanced(
-    portrait: Portrait, light: EnvironmentMap
-) -> tuple[Float[np.ndarray, "p q 3"], Float[np.ndarray, "p q 3"]]:
-    """S_B and g_B with the colour of skin's mean shading kept (``keep="place"``)."""
+def gain_of(portrait: Portrait, light: EnvironmentMap) -> Float[np.ndarray, "p q 4"]:
+    """Changes of colour and of level with ``keep="place"``, as Portrait.under has them."""
     shading, specular = portrait.shaded_by(light)
-    received = shading[portrait.bare > 0].mean(0)
-    gains = portrait.mean / received
-    gains *= (received @ LUMINANCE) / ((gains * received) @ LUMINANCE)
-    return gains * shading, gains * specular
+    after = Level.of(shading, specular / portrait.albedo, portrait.on)
+    tint = after.colour - portrait.before.colour
+    tint = tint - portrait.on.mean(tint)
+    other = 1 - shared_light(portrait.found, light)
+    gain = after.level - portrait.before.level
+    hidden = portrait.unseen
+    tint = tinted(tint + other * hidden.colour, gain, hidden.skin, portrait.on)
+    return filled(np.dstack([tint, gain]), portrait.known)
 
 
 def test_what_is_kept_gives_the_portrait_of_the_estimate(told: Told) -> None:
@@ -162,35 +158,32 @@ def test_the_page_gets_points_and_bits_of_the_surface(told: Told, taken_apart: T
     assert float(torch.tensor(facts["colour"]) @ torch.tensor(LUMINANCE)) == pytest.approx(1.0)
 
 
+def test_the_page_gets_what_the_picture_does_not_show(taken_apart: TakenApart) -> None:
+    tensors, _ = read_tensors(taken_apart.file)
+    level = _UNSEEN * (tensors["unseen"].numpy() / 127.5 - 1)
+    want = taken_apart.portrait.unseen.level.clip(-_UNSEEN, _UNSEEN)
+    np.testing.assert_allclose(level, want, atol=_UNSEEN / 255 * 1.01)
+
+
 @needs_three
-def test_shading_in_the_page_is_that_of_the_portrait() -> None:
+def test_gains_in_the_page_are_those_of_the_portrait() -> None:
     portrait = small()
     page = by_the_page(LIGHTS)
-    bare = in_grid(portrait.bare, page["skin"]) > 0
-    known = np.maximum(portrait.bare, HAIR_COUNTS * portrait.covered)
-    base = BASE * float(portrait.mean @ np.array(LUMINANCE))
+    covered = in_grid(portrait.on.covered, page["grid"]) == 1
     for (*place, strength, size_deg), ours in zip(LIGHTS, page["answers"], strict=True):
         azimuth, elevation = place
         moved = key_light(
             apart().result.estimate, (azimuth, elevation), size_deg=size_deg, strength=strength
         ).environment
-        shading, specular = balanced(portrait, moved)
-        mean = shading[portrait.bare > 0].mean()
-        want = in_grid(filled(shading, known), page["skin"])
-        off = np.abs(ours["shading"] - want)
-        assert off[bare].mean() < 0.01 * mean, (azimuth, elevation)
-        want_specular = in_grid(filled(specular, known), page["skin"])
-        off = np.abs(ours["glossy"] - want_specular)
-        # a rougher lobe stands for a wider light
-        assert off[bare].mean() < 0.1 * want_specular[bare].mean(), (azimuth, elevation)
-        soft = blurred(shading, portrait.covered, SOFT * portrait.person.face_px)
-        ratio = filled(np.log((soft + base) / (portrait.soft + base)), portrait.covered)
-        coarse = in_grid(ratio, page["whole"])[::2, ::2]
-        covered = in_grid(portrait.covered, page["whole"])[::2, ::2] > 0
-        off = np.abs(ours["ratio"][: len(coarse), : coarse.shape[1]] - coarse)[covered]
-        assert off.mean() < 0.02, (azimuth, elevation)  # a logarithm: 2 %
-        assert np.abs(ratio).max() > 0.5
-        assert ours["common"] == pytest.approx(shared_light(portrait.found, moved), abs=0.02)
+        gain = gain_of(portrait, moved)
+        want = in_grid(gain, page["grid"])
+        off = np.abs(ours["gain"][: len(want), : want.shape[1]] - want)[covered]
+        assert off[:, 3].mean() < 0.01, (azimuth, elevation)  # a logarithm: 1 %
+        assert off[:, :3].mean() < 1e-3, (azimuth, elevation)
+        assert np.ptp(gain[portrait.on.covered > 0][:, 3]) > 0.5
+        typical = float(portrait.on.mean(gain)[3])
+        assert ours["typical"] == pytest.approx(typical, abs=0.01)
+        assert ours["common"] == pytest.approx(shared_light(portrait.found, moved), abs=5e-3)
 
 
 def test_of_a_grey_photograph_the_light_is_grey(told: Told, taken_apart: TakenApart) -> None:

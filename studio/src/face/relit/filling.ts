@@ -1,5 +1,5 @@
 /**
- * Pictures of which only some pixels are known, filled and blurred as skylight.portrait._relit
+ * Pictures of which only some pixels are known, filled and blurred as skylight.portrait._gain
  * does. Channels are interleaved; unknown pixels are 0.
  */
 

@@ -4,9 +4,9 @@ import { Blur, Filling } from "./filling";
 import type { Person } from "./person";
 
 const ROWS = 32; // of the directions that points see or not
-const MARGIN = 4; // of the grid of skin
 const SHARED_ROWS = 16; // as in skylight.portrait._relit
-const CUT_OFF = 2.6; // spreads from its middle, beyond which a lobe is taken for black
+const CUT_OFF = 5; // spreads from its middle, beyond which a lobe is taken for black
+const QUICK_CUT_OFF = 2.6; // and where the light is to follow at once
 
 /** Some pixels of the shading's picture: what textures are made of. */
 export interface Grid {
@@ -18,15 +18,20 @@ export interface Grid {
   step: number;
 }
 
-/** The person in a new light, three numbers a cell; until the next light. */
+/** What a new light changes, in logarithms; until the next light. */
 export interface Lit {
-  /** On the grid of skin. */
-  shading: Float32Array;
-  glossy: Float32Array;
-  /** On that of the whole person: what hair and clothes are multiplied by, as a logarithm. */
-  ratio: Float32Array;
+  /** Of colour (three numbers a cell) and of level. */
+  gain: Float32Array;
+  /** The mean change of level over skin. */
+  typical: number;
   /** How much of the light is that of the photograph. */
   common: number;
+}
+
+/** skylight.portrait._gain.Level: of level, and of colour (three numbers a cell). */
+interface Level {
+  level: Float32Array;
+  colour: Float32Array;
 }
 
 /** Some of the directions that points see or not, by pixel; a surface that faces it receives 1 of their weights. */
@@ -40,13 +45,15 @@ export interface Lobe {
 
 /**
  * A von Mises-Fisher lobe of that spread per axis, no narrower than half a pixel of the grid of so
- * many rows. Of a wide one each second row and column does, for a quarter of the time.
+ * many rows. A quick one is cut off earlier, and of a wide one each second row and column does, for
+ * a quarter of the time.
  */
-export function lobe(middle: Vec3, spreadRad: number, rows = ROWS): Lobe {
+export function lobe(middle: Vec3, spreadRad: number, rows = ROWS, isQuick = true): Lobe {
   const columns = 2 * rows;
   const pixelRad = Math.PI / rows;
   const spread = Math.max(spreadRad, pixelRad / 2);
-  const step = spread > 1.6 * pixelRad ? 2 : 1;
+  const step = isQuick && spread > 1.6 * pixelRad ? 2 : 1;
+  const reach = (isQuick ? QUICK_CUT_OFF : CUT_OFF) * spread;
   const solid = solidAngles(columns, rows);
   const found: { pixel: number; direction: Vec3; weight: number }[] = [];
   let facing = 0;
@@ -55,7 +62,7 @@ export function lobe(middle: Vec3, spreadRad: number, rows = ROWS): Lobe {
     if (row % step || pixel % step) continue;
     const direction = fromPixel(pixel % columns, row, columns, rows);
     const chord = 2 - 2 * (direction[0] * middle[0] + direction[1] * middle[1] + direction[2] * middle[2]);
-    if (chord >= (CUT_OFF * spread) ** 2) continue;
+    if (chord >= reach ** 2) continue;
     const weight = solid[row]! * Math.exp(-chord / (2 * spread ** 2));
     found.push({ pixel, direction, weight });
     facing += weight * Math.max(0, 1 - chord / 2);
@@ -71,56 +78,43 @@ export function lobe(middle: Vec3, spreadRad: number, rows = ROWS): Lobe {
 
 /** A person under the fill, and a key light wherever it is put. */
 export class KeyLight {
-  /** About the skin, cell by pixel. */
-  readonly skin: Grid;
   /** About all of the person, in cells of 2 x 2 pixels: what is blurred needs no more. */
-  readonly whole: Grid;
-  /** S_A, rho_0 and g_A of the photograph's own light, and how much skin there is, on the grid of skin. */
-  readonly before: { shading: Float32Array; local: Float32Array; glossy: Float32Array; inside: Float32Array };
-  /** The mean luminance of S_A on skin. */
-  readonly level: number;
-  /** Cells of the points, in either grid; -1 for none. */
-  private readonly onSkin: Int32Array;
-  private readonly onWhole: Int32Array;
-  private readonly fromSkin: Filling;
-  private readonly fromAll: Filling;
-  private readonly blur: Blur;
-  private readonly covered: Float32Array;
-  private readonly softBefore: Float32Array[];
-  private readonly softRest: Float32Array[];
-  private readonly restShading: Float32Array;
-  private readonly restGlossy: Float32Array;
-  private readonly meanBefore: Float32Array;
-  private readonly meanRest: Float32Array;
+  readonly grid: Grid;
+  /** The cell of each point. */
+  private readonly cell: Int32Array;
+  private readonly filling: Filling;
+  private readonly sharp: Blur;
+  private readonly soft: Blur;
+  private readonly tint: Blur;
+  /** How much of a cell is skin, in itself and with its neighbours. */
+  private readonly bare: Float32Array;
+  private readonly skin: Float32Array;
+  private readonly unseenTint: Float32Array;
+  private readonly skinTint: Float32Array;
+  private readonly before: Level;
+  /** The rest's colours, smoothed: one array a channel. */
+  private readonly restTint: Float32Array[];
 
   constructor(private readonly person: Person) {
-    const { facts, places, bare } = person;
+    const { facts, places, shading, glossy, restShading } = person;
     const [left, top, width, height] = facts.crop;
-    this.skin = gridAbout(person);
-    this.whole = { left, top, width: (width + 1) >> 1, height: (height + 1) >> 1, step: 2 };
-    this.onSkin = this.cells(this.skin);
-    this.onWhole = this.cells(this.whole);
-    const skin = bare.map((share) => Math.max(share, facts.hair_counts));
-    this.fromSkin = new Filling(this.summed(skin, 1, this.skin, this.onSkin), this.skin.width, this.skin.height);
-    const counts = this.summed(new Float32Array(places.length).fill(1), 1, this.whole, this.onWhole);
-    this.covered = counts.map((count) => Number(count > 0));
-    this.fromAll = new Filling(this.covered, this.whole.width, this.whole.height);
-    this.blur = new Blur(this.whole.width, this.whole.height, counts, facts.soft_px / this.whole.step);
-    this.softBefore = [0, 1, 2].map((k) => this.soft(person.shading, 3, k).slice());
-    this.softRest = [0, 1, 2].map((k) => this.soft(person.restShading, 3, k).slice());
-    this.meanBefore = this.meanOnSkin(person.shading, 3);
-    this.meanRest = this.meanOnSkin(person.restShading, 3);
-    this.level = luminance(this.meanBefore[0]!, this.meanBefore[1]!, this.meanBefore[2]!);
-    const filled = (values: Float32Array): Float32Array =>
-      this.fromSkin.fill(this.summed(values, 3, this.skin, this.onSkin), 3).slice();
-    this.restShading = filled(person.restShading);
-    this.restGlossy = filled(person.restGlossy);
-    this.before = {
-      shading: filled(person.shading),
-      local: filled(person.local),
-      glossy: filled(person.glossy),
-      inside: this.summed(person.inside, 1, this.skin, this.onSkin),
-    };
+    const grid = { left, top, width: (width + 1) >> 1, height: (height + 1) >> 1, step: 2 };
+    this.grid = grid;
+    this.cell = places.map((place) => ((Math.floor(place / width) >> 1) * grid.width) + ((place % width) >> 1));
+    const counts = this.summed(new Float32Array(places.length).fill(1), 1);
+    const blurs = facts.sigmas_px.map((sigma) => new Blur(grid.width, grid.height, counts, sigma / grid.step));
+    [this.sharp, this.soft, this.tint] = blurs as [Blur, Blur, Blur];
+    const known = this.summed(person.known, 1);
+    this.filling = new Filling(known.map((sum, i) => sum / Math.max(counts[i]!, 1)), grid.width, grid.height);
+    this.bare = this.summed(person.bare, 1);
+    this.skin = this.sharp.of(this.bare).slice();
+    const mean3 = (values: Float32Array): Float32Array =>
+      this.summed(values, 3).map((sum, i) => sum / Math.max(counts[Math.floor(i / 3)]!, 1));
+    this.unseenTint = mean3(person.unseenTint);
+    this.skinTint = mean3(person.skinTint);
+    this.restTint = this.smoothTint(restShading);
+    const mean = luminance(...triple(this.meanOnSkin(shading, 3)));
+    this.before = this.levelOf(this.wholeOf(shading, glossy), this.smoothTint(shading), mean);
   }
 
   /** `sum_w g(w) V(w) <n, w>+ dw / pi` at each point, and as much of the gloss; two numbers a point. */
@@ -168,58 +162,78 @@ export class KeyLight {
    * skylight.portrait._keys.
    */
   under(azimuthDeg: number, zenithDeg: number, strength: number, sizeDeg: number): Lit {
-    const { facts } = this.person;
+    const { facts, restShading, restGlossy } = this.person;
     const dimmed = facts.ball / (facts.fill * (1 + strength * facts.metered));
-    const key = facts.colour.map((value) => dimmed * strength * facts.fill * value) as [number, number, number];
+    const key = triple(facts.colour.map((value) => dimmed * strength * facts.fill * value));
     // a disc's diameter is four spreads of a lobe
     const from = lobe(fromAngles(azimuthDeg, zenithDeg), (sizeDeg * Math.PI) / 180 / 4);
     const transport = this.transport(from);
-    const gains = this.gains(transport, key, dimmed);
-    const filled = this.fromSkin.fill(this.summed(transport, 2, this.skin, this.onSkin), 2);
-    const shading = new Float32Array(this.restShading.length);
-    const glossy = new Float32Array(this.restGlossy.length);
-    for (let i = 0, at = 0; at < shading.length; i += 2)
-      for (let k = 0; k < 3; k++, at++) {
-        shading[at] = gains[k]! * (dimmed * this.restShading[at]! + key[k]! * filled[i]!);
-        glossy[at] = gains[k]! * (dimmed * this.restGlossy[at]! + key[k]! * filled[i + 1]!);
-      }
-    const soft = this.soft(transport, 2, 0);
-    const base = facts.base * this.level;
-    const ratio = new Float32Array(3 * soft.length);
-    for (let i = 0; i < soft.length; i++) {
-      if (this.covered[i] === 0) continue;
+    const lightOf = (rest: Float32Array, offset: number): Float32Array =>
+      rest.map((fill, at) => dimmed * fill + key[at % 3]! * transport[2 * Math.floor(at / 3) + offset]!);
+    const [shading, glossy] = [lightOf(restShading, 0), lightOf(restGlossy, 1)];
+    const lit = this.tint.of(this.summed(transport, 2).filter((_, i) => i % 2 === 0));
+    const tint = this.restTint.map((rest, k) => rest.map((fill, i) => dimmed * fill + key[k]! * lit[i]!));
+    const received = triple(this.meanOnSkin(shading, 3));
+    const after = this.levelOf(this.wholeOf(shading, glossy), tint, luminance(...received));
+    const common = this.common(from, key, dimmed);
+    const level = after.level.map((value, i) => value - this.before.level[i]!);
+    const colour = after.colour.map((value, i) => value - this.before.colour[i]!);
+    // white is balanced so that skin keeps its mean colour: it is the same place
+    const isBalanced = received.every((value) => value > 0);
+    const cast = this.meanOfCells(colour, 3);
+    const shift = this.meanOfCells(this.unseenTint, 3).map((value) => (1 - common) * value);
+    const gain = new Float32Array(4 * level.length);
+    for (let i = 0; i < level.length; i++) {
       for (let k = 0; k < 3; k++) {
-        const now = gains[k]! * (dimmed * this.softRest[k]![i]! + key[k]! * soft[i]!);
-        ratio[3 * i + k] = Math.log((now + base) / (this.softBefore[k]![i]! + base));
+        const mean = (isBalanced ? 0 : cast[k]!) + shift[k]!;
+        const own = colour[3 * i + k]! - (isBalanced ? cast[k]! : 0) + (1 - common) * this.unseenTint[3 * i + k]!;
+        const near = mean + facts.tinted * Math.tanh((own - mean) / facts.tinted);
+        gain[4 * i + k] = near + (1 - Math.exp(-Math.abs(level[i]!))) * this.skinTint[3 * i + k]!;
       }
+      gain[4 * i + 3] = level[i]!;
     }
-    return { shading, glossy, ratio: this.fromAll.fill(ratio, 3), common: this.common(from, key, dimmed) };
+    return { gain: this.filling.fill(gain, 4), typical: this.meanOfCells(level, 1)[0]!, common };
   }
 
-  /** One channel of the points' values, smoothed over the whole person. */
-  private soft(values: Float32Array, channels: number, channel: number): Float32Array {
-    const sums = new Float32Array(this.covered.length);
-    this.onWhole.forEach((cell, i) => (sums[cell]! += values[channels * i + channel]!));
-    return this.blur.of(sums);
+  /** The luminance of shading and, in part, gloss over the albedo, one number a cell, summed. */
+  private wholeOf(shading: Float32Array, glossy: Float32Array): Float32Array {
+    const whole = new Float32Array(shading.length / 3);
+    const { shine } = this.person.facts;
+    for (let i = 0, at = 0; i < whole.length; i++, at += 3)
+      whole[i] =
+        luminance(shading[at]!, shading[at + 1]!, shading[at + 2]!) +
+        shine * luminance(glossy[at]!, glossy[at + 1]!, glossy[at + 2]!);
+    return this.summed(whole, 1);
   }
 
-  /** White is balanced so that the mean shading of skin keeps its colour: it is the same place. */
-  private gains(transport: Float32Array, key: [number, number, number], dimmed: number): number[] {
-    const lit = this.meanOnSkin(transport, 2)[0]!;
-    const received = key.map((value, k) => dimmed * this.meanRest[k]! + value * lit);
-    if (received.some((value) => value === 0)) return [1, 1, 1];
-    const gains = received.map((value, k) => this.meanBefore[k]! / value);
-    const [r, g, b] = received as [number, number, number];
-    const keep = luminance(r, g, b) / luminance(gains[0]! * r, gains[1]! * g, gains[2]! * b);
-    return gains.map((gain) => gain * keep);
+  private levelOf(whole: Float32Array, tint: Float32Array[], mean: number): Level {
+    const base = this.person.facts.base * mean;
+    const near = this.sharp.of(whole);
+    const far = this.soft.of(whole);
+    const level = near.map((value, i) => {
+      const skin = this.skin[i]!;
+      return Math.log(Math.max(skin * value + (1 - skin) * far[i]! + base, 1e-9));
+    });
+    const [red, green, blue] = tint as [Float32Array, Float32Array, Float32Array];
+    const colour = new Float32Array(3 * level.length);
+    for (let i = 0; i < level.length; i++) {
+      const bright = Math.max(luminance(red[i]!, green[i]!, blue[i]!), 1e-9);
+      for (let k = 0; k < 3; k++) colour[3 * i + k] = Math.log(Math.max(tint[k]![i]! / bright, 1e-3));
+    }
+    return { level, colour };
+  }
+
+  private smoothTint(values: Float32Array): Float32Array[] {
+    const sums = this.summed(values, 3);
+    return [0, 1, 2].map((k) => this.tint.of(sums.filter((_, i) => i % 3 === k)).slice());
   }
 
   /** `max(0, 1 - |p - q|_1)` of skylight.portrait._relit.shared_light. */
-  private common({ middle, spreadRad }: Lobe, key: [number, number, number], dimmed: number): number {
+  private common({ middle, spreadRad }: Lobe, key: Vec3, dimmed: number): number {
     const { foundPower, restPower } = this.person;
     const power = restPower.map((value) => dimmed * value);
     const rows = 4 * SHARED_ROWS;
-    const { pixels, weights } = lobe(middle, spreadRad, rows);
+    const { pixels, weights } = lobe(middle, spreadRad, rows, false);
     pixels.forEach((pixel, k) => {
       const row = Math.floor(pixel / (2 * rows) / 4);
       const column = Math.floor((pixel % (2 * rows)) / 4);
@@ -243,41 +257,24 @@ export class KeyLight {
     return Float32Array.from(sums, (sum) => sum / total);
   }
 
-  /** In which cell each point is. */
-  private cells({ left, top, width, height, step }: Grid): Int32Array {
-    const [cropLeft, cropTop, cropWidth] = this.person.facts.crop;
-    return this.person.places.map((place) => {
-      const x = Math.floor(((place % cropWidth) + cropLeft - left) / step);
-      const y = Math.floor((Math.floor(place / cropWidth) + cropTop - top) / step);
-      return x < 0 || y < 0 || x >= width || y >= height ? -1 : y * width + x;
+  private meanOfCells(values: Float32Array, channels: number): number[] {
+    const sums = new Array<number>(channels).fill(0);
+    let total = 0;
+    this.bare.forEach((share, i) => {
+      if (!(share > 0)) return;
+      total += share;
+      for (let k = 0; k < channels; k++) sums[k]! += share * values[channels * i + k]!;
     });
+    return sums.map((sum) => sum / total);
   }
 
-  /** The points' values summed over the cells of a grid. */
-  private summed(values: Float32Array, channels: number, grid: Grid, cells: Int32Array): Float32Array {
-    const picture = new Float32Array(channels * grid.width * grid.height);
-    for (let i = 0; i < cells.length; i++) {
-      if (cells[i]! < 0) continue;
-      for (let k = 0; k < channels; k++) picture[channels * cells[i]! + k]! += values[channels * i + k]!;
-    }
+  /** The points' values summed over the cells. */
+  private summed(values: Float32Array, channels: number): Float32Array {
+    const picture = new Float32Array(channels * this.grid.width * this.grid.height);
+    for (let i = 0; i < this.cell.length; i++)
+      for (let k = 0; k < channels; k++) picture[channels * this.cell[i]! + k]! += values[channels * i + k]!;
     return picture;
   }
 }
 
-/** The pixels with skin and a few about them. */
-function gridAbout({ facts, places, bare }: Person): Grid {
-  const [cropLeft, cropTop, width, height] = facts.crop;
-  let [left, top, right, foot] = [width, height, 0, 0];
-  places.forEach((place, i) => {
-    if (!(bare[i]! > 0)) return;
-    left = Math.min(left, place % width);
-    right = Math.max(right, place % width);
-    top = Math.min(top, Math.floor(place / width));
-    foot = Math.max(foot, Math.floor(place / width));
-  });
-  left = Math.max(0, left - MARGIN);
-  top = Math.max(0, top - MARGIN);
-  right = Math.min(width, right + 1 + MARGIN);
-  foot = Math.min(height, foot + 1 + MARGIN);
-  return { left: cropLeft + left, top: cropTop + top, width: right - left, height: foot - top, step: 1 };
-}
+const triple = (values: ArrayLike<number>): [number, number, number] => [values[0]!, values[1]!, values[2]!];

@@ -155,7 +155,10 @@ function relitView(person: Person, title: string): { element: HTMLElement; pictu
   });
 
   const help = freshId("help");
-  const notes = facts.warning ? [el("p", { class: "care" }, `Take care: ${facts.warning}.`)] : [];
+  const notes = [
+    ...(facts.warning ? [`Take care: ${facts.warning}.`] : []),
+    ...facts.doubts.map((doubt) => `Take care: ${doubt}.`),
+  ].map((line) => el("p", { class: "care" }, line));
   const alone = facts.is_alone
     ? "The same at full resolution, in the terminal:"
     : "At full resolution, in the terminal (the light of this face alone, so a little different):";

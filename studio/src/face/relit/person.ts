@@ -19,11 +19,14 @@ export interface Facts {
   metered: number;
   gloss: number;
   lobe: { f0: number; alpha: number };
-  soft_px: number;
-  dark: number;
+  sigmas_px: [sharp: number, soft: number, tint: number];
   base: number;
-  brightest: number;
-  hair_counts: number;
+  shine: number;
+  most: [brighter: number, darker: number];
+  tinted: number;
+  unseen: number;
+  doubted: number;
+  doubts: string[];
   knee: number;
   edit: Edit;
 }
@@ -32,17 +35,19 @@ export interface Facts {
 export interface Person {
   facts: Facts;
   picture: { width: number; height: number; codes: Uint8Array };
+  unseen: Uint8Array;
   places: Int32Array;
   normals: Float32Array;
   views: Float32Array;
   visible: Uint8Array;
   shading: Float32Array;
   glossy: Float32Array;
-  local: Float32Array;
   restShading: Float32Array;
   restGlossy: Float32Array;
-  inside: Float32Array;
+  unseenTint: Float32Array;
+  skinTint: Float32Array;
   bare: Float32Array;
+  known: Float32Array;
   foundPower: Float32Array;
   restPower: Float32Array;
   restMap: { width: number; height: number; data: Float32Array };
@@ -57,17 +62,19 @@ export function readPerson(file: ArrayBuffer): Person {
   return {
     facts: JSON.parse(tensors.text("facts")) as Facts,
     picture: { ...sized("picture"), codes: tensors.bytes("picture") },
+    unseen: tensors.bytes("unseen"),
     places: tensors.integers("places"),
     normals: tensors.floats("normals"),
     views: tensors.floats("views"),
     visible: tensors.bytes("visible"),
     shading: tensors.floats("shading"),
     glossy: tensors.floats("glossy"),
-    local: tensors.floats("local"),
     restShading: tensors.floats("rest_shading"),
     restGlossy: tensors.floats("rest_glossy"),
-    inside: tensors.floats("inside"),
+    unseenTint: tensors.floats("unseen_tint"),
+    skinTint: tensors.floats("skin_tint"),
     bare: tensors.floats("bare"),
+    known: tensors.floats("known"),
     foundPower: tensors.floats("found_power"),
     restPower: tensors.floats("rest_power"),
     restMap: { ...sized("rest_map"), data: tensors.floats("rest_map") },

@@ -10,11 +10,11 @@ void main() {
 // The formulas of skylight.portrait._relit, and of app.portrait.relit's shown()
 const PIXEL = `#version 300 es
 precision highp float;
-uniform highp sampler2D photo, was, local, shine, lit, glossy, ratio;
-uniform vec2 size, // of the picture; and where the grids of skin and of the whole person are in it
-  skinFrom, skinSize, wholeFrom, wholeSize;
+uniform highp sampler2D photo, unseen, gain;
+uniform vec2 size, from, extent; // of the picture; and where the person's grid is in it
 uniform vec2 drawn; // pixels of the canvas
-uniform float least, brightest, knee, common_;
+uniform vec2 most;
+uniform float typical, doubted, other, range, knee;
 uniform float before; // the share of the width, from the left, that is as it was photographed
 out vec4 color;
 
@@ -24,7 +24,7 @@ vec3 encoded(vec3 light) {
 }
 // GLSL's own overflows for large numbers on some machines
 vec3 tanh_(vec3 x) {
-  vec3 e = exp(-2.0 * min(x, 20.0));
+  vec3 e = exp(-2.0 * clamp(x, -20.0, 20.0));
   return (1.0 - e) / (1.0 + e);
 }
 void main() {
@@ -34,21 +34,13 @@ void main() {
   // branches: where no graphics card is, most of the time goes into looking textures up
   if (at.x >= before * size.x && seen.a > 0.0) {
     vec3 scene = unedited(p);
-    vec3 person = scene * exp(texture(ratio, (at - wholeFrom) / wholeSize).rgb);
-    vec2 place = (at - skinFrom) / skinSize;
-    if (place == clamp(place, 0.0, 1.0)) {
-      vec4 dark = texture(was, place);
-      if (dark.a > 0.0) {
-        vec3 usual = texture(local, place).rgb;
-        vec3 shone = texture(shine, place).rgb;
-        vec3 albedo = (max(scene - shone, 0.0) * dark.rgb + least * usual) / (dark.rgb * dark.rgb + least);
-        albedo = min(albedo, brightest * usual);
-        vec3 residual = scene - albedo * dark.rgb - shone;
-        vec3 skin = albedo * texture(lit, place).rgb + texture(glossy, place).rgb + common_ * residual;
-        person = mix(person, skin, dark.a);
-      }
-    }
-    light = max(edited(max(mix(scene, person, seen.a), 0.0)) + p - edited(scene), 0.0);
+    vec4 change = texture(gain, (at - from) / extent); // of colour, and of level
+    float hidden = range * (2.0 * texture(unseen, at / size).r - 1.0);
+    float more = change.a + other * hidden - typical;
+    float limit = more > 0.0 ? most.x : most.y;
+    float level = typical + doubted * limit * tanh_(vec3(more / limit)).x;
+    vec3 person = scene * exp(seen.a * (change.rgb + level));
+    light = max(edited(person) + p - edited(scene), 0.0);
     vec3 k = clamp(p, knee, 1.0 - 1e-6);
     if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
   }
@@ -68,7 +60,7 @@ export class RelitPicture {
   private readonly gl: WebGL2RenderingContext;
   private readonly uniforms = new Map<string, WebGLUniformLocation>();
   private readonly program: WebGLProgram;
-  private readonly kept: { 3: number; 4: number }; // formats of textures, by channels
+  private readonly kept: number; // the format of textures
   private readonly size: { width: number; height: number };
   private readonly box: Box; // all else stays as the photograph has it
   private scale = 0; // pixels of the canvas a pixel of the picture, along an axis
@@ -78,7 +70,7 @@ export class RelitPicture {
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
-    { picture, facts }: Person,
+    { picture, unseen, facts }: Person,
     private readonly light: KeyLight,
   ) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true });
@@ -87,8 +79,8 @@ export class RelitPicture {
     this.size = picture;
     this.box = box(picture);
     // half as wide numbers are slower where no graphics card is
-    if (gl.getExtension("OES_texture_float_linear")) this.kept = { 3: gl.RGB32F, 4: gl.RGBA32F };
-    else this.kept = { 3: gl.RGB16F, 4: gl.RGBA16F };
+    if (gl.getExtension("OES_texture_float_linear")) this.kept = gl.RGBA32F;
+    else this.kept = gl.RGBA16F;
     this.program = program(gl);
     gl.useProgram(this.program);
     const number = (name: string, ...values: number[]): void => {
@@ -97,7 +89,7 @@ export class RelitPicture {
       else gl.uniform2f(place, values[0]!, values[1]!);
     };
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    ["photo", "was", "local", "shine", "lit", "glossy", "ratio"].forEach((name, unit) => {
+    ["photo", "unseen", "gain"].forEach((name, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
@@ -107,29 +99,23 @@ export class RelitPicture {
     });
     gl.activeTexture(gl.TEXTURE0);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.SRGB8_ALPHA8, picture.width, picture.height, 0, gl.RGBA, gl.UNSIGNED_BYTE, picture.codes);
-    const { shading, local, glossy, inside } = light.before;
-    this.upload(1, light.skin, Float32Array.from({ length: 4 * inside.length }, (_, i) =>
-      i % 4 === 3 ? inside[i >> 2]! : shading[3 * (i >> 2) + (i % 4)]!), 4);
-    this.upload(2, light.skin, local);
-    this.upload(3, light.skin, glossy);
+    gl.activeTexture(gl.TEXTURE1);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, picture.width, picture.height, 0, gl.RED, gl.UNSIGNED_BYTE, unseen);
     const across = picture.width / facts.size[0];
     const down = picture.height / facts.size[1];
     number("size", picture.width, picture.height);
-    for (const name of ["skin", "whole"] as const) {
-      const { left, top, width, height, step } = light[name];
-      number(`${name}From`, left * across, top * down);
-      number(`${name}Size`, width * step * across, height * step * down);
-    }
+    const { left, top, width, height, step } = light.grid;
+    number("from", left * across, top * down);
+    number("extent", width * step * across, height * step * down);
     this.setConstants(facts, number);
     this.paint(1, 1);
   }
 
-  draw({ shading, glossy, ratio, common }: Lit): void {
+  draw({ gain, typical, common }: Lit): void {
     const { canvas, size } = this;
-    this.upload(4, this.light.skin, shading);
-    this.upload(5, this.light.skin, glossy);
-    this.upload(6, this.light.whole, ratio);
-    this.gl.uniform1f(this.uniform("common_"), common);
+    this.upload(2, this.light.grid, gain);
+    this.gl.uniform1f(this.uniform("typical"), typical);
+    this.gl.uniform1f(this.uniform("other"), 1 - common);
     const begun = performance.now();
     this.paint(this.before, Math.min(1, (this.detail * canvas.clientWidth * devicePixelRatio) / size.width || 1));
     requestAnimationFrame(() => {
@@ -177,19 +163,19 @@ export class RelitPicture {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  private setConstants(facts: Facts, number: (name: string, value: number) => void): void {
-    number("least", (facts.dark * this.light.level) ** 2);
-    number("brightest", facts.brightest);
+  private setConstants(facts: Facts, number: (name: string, ...values: number[]) => void): void {
+    number("most", ...facts.most);
+    number("doubted", facts.doubted);
+    number("range", facts.unseen);
     number("knee", facts.knee);
     const { saturation, contrast, pivot } = facts.edit;
     this.gl.uniform3f(this.uniform("edit"), saturation, contrast, pivot);
   }
 
-  private upload(unit: number, { width, height }: Grid, values: Float32Array, channels: 3 | 4 = 3): void {
+  private upload(unit: number, { width, height }: Grid, values: Float32Array): void {
     const { gl } = this;
     gl.activeTexture(gl.TEXTURE0 + unit);
-    const given = channels === 4 ? gl.RGBA : gl.RGB;
-    gl.texImage2D(gl.TEXTURE_2D, 0, this.kept[channels], width, height, 0, given, gl.FLOAT, values);
+    gl.texImage2D(gl.TEXTURE_2D, 0, this.kept, width, height, 0, gl.RGBA, gl.FLOAT, values);
   }
 
   private uniform(name: string): WebGLUniformLocation {
