@@ -8,7 +8,7 @@ import warnings
 from pathlib import Path
 
 import tyro
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
 from skylight import __version__
 from skylight._options import who_works
@@ -114,7 +114,7 @@ def evaluate(
     device: Device = "auto",
     workers: int = 2,
     cluster: str | None = None,
-    peer: tuple[str, ...] = (),
+    peer: UseAppendAction[tuple[str, ...]] = (),
 ) -> None:
     """Compute one of the tables or figures of the evaluation.
 
@@ -131,8 +131,8 @@ def evaluate(
         device: Of faces: where their light is optimised.
         workers: Processes that work at the same time; 0 for one per core.
         cluster: A dask scheduler's address, whose workers do it instead.
-        peer: Of relit-lamps: NAME=FOLDER, several of them if you like: others' relit pictures,
-            named by pair, that get a row of that name.
+        peer: Of relit-lamps: NAME=FOLDER, once for each: others' relit pictures, named by pair,
+            that get a row of that name.
     """
     who = who_works(workers, cluster, out)
     peers = _folders_by_name(peer)

@@ -18,8 +18,10 @@ from skylight.errors import InputError
 from skylight.evaluation._known_faces import EstimateOptions, FaceEvaluation, observe_largest
 from skylight.evaluation._lamps import lamp_index, read_lamp_photo
 from skylight.evaluation._relit_scores import (
+    PHOTOGRAPH,
     RELIT,
     TRANSFER,
+    TRUTH,
     UNCHANGED,
     best_exposed,
     colour_transfer,
@@ -32,6 +34,7 @@ from skylight.evaluation._run import Check, Evaluation, Item, Rows
 from skylight.faces._model import HeadModel
 from skylight.faces._observe import hair_of
 from skylight.imaging._photo import Photo, read_photo
+from skylight.inverse._verdict import CAMERA
 from skylight.io._files import write_png
 from skylight.portrait._relit import FaceReflection, Portrait, light_in_photo, portrait_of
 from skylight.sphere._envmap import EnvironmentMap
@@ -40,7 +43,6 @@ from skylight.sphere._frame import angle_between
 LIT_SHARE = 0.6  # of a ball's disc, as the camera sees it
 MAP_ROWS = 128  # the lamp is within cells of 1.4 degrees
 RMSE_RATIO = 0.5  # of the mean, ours over the transfer's
-TO_CAMERA = torch.tensor([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,8 +84,8 @@ class RelitLamps(FaceEvaluation):
                 "to the first _)"
             )
         for name, folder in self.peers:
-            if name in (RELIT, TRANSFER, UNCHANGED):
-                raise InputError(f"{name} is a row of ours: give the peer another name")
+            if name in (RELIT, TRANSFER, UNCHANGED, PHOTOGRAPH, TRUTH):
+                raise InputError(f"{name} is a picture of ours: give the peer another name")
             if not any((folder / f"{pair}.png").is_file() for pair in pairs):
                 usual = f"{next(iter(pairs))}.png"
                 raise InputError(f"{folder}: no relit picture of a pair in it, such as {usual}")
@@ -140,7 +142,7 @@ class RelitLamps(FaceEvaluation):
                 linear[name] = _of_size(read_photo(path).pixels.numpy(), truth.shape[:2])
         shown = {name: best_exposed(each, truth, source.skin) for name, each in linear.items()}
         shown[TRANSFER] = colour_transfer(own, truth, source.skin)
-        write_png(picture, compared({"photograph": own, **shown, "truth": truth}))
+        write_png(picture, compared({PHOTOGRAPH: own, **shown, TRUTH: truth}))
         return Item(
             name=item,
             metrics={
@@ -187,7 +189,7 @@ def _taken_apart(path: Path, options: EstimateOptions) -> _Source:
         photo=photo,
         portrait=portrait_of(photo, fit, reflection, found),
         skin=head_mask(fit) & (hair_of(photo.pixels, HeadModel.load(), fit) < 0.5),
-        received=found.irradiance(TO_CAMERA).double(),
+        received=found.irradiance(CAMERA.float()).double(),
         direction=estimate.verdict.direction.word,
     )
 

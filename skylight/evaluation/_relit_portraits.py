@@ -15,8 +15,10 @@ from skylight.evaluation._known_faces import (
     known_face,
 )
 from skylight.evaluation._relit_scores import (
+    PHOTOGRAPH,
     RELIT,
     TRANSFER,
+    TRUTH,
     UNCHANGED,
     best_exposed,
     colour_transfer,
@@ -121,7 +123,7 @@ class RelitPortraits(FaceEvaluation):
             name: score(one, truth, person) | score(one, truth, skin, "_skin")
             for name, one in shown.items()
         }
-        rows = {"photograph": old.encoded / np.float32(255), **shown, "truth": truth}
+        rows = {PHOTOGRAPH: old.encoded / np.float32(255), **shown, TRUTH: truth}
         write_png(picture, compared(rows))
         facts: dict[str, object] = {
             "skin tone": old.cluster,

@@ -22,6 +22,7 @@ from skylight.transport._rays import Raycaster
 from skylight.transport._render import rasterize
 
 RELIT, TRANSFER, UNCHANGED = "relit", "transfer", "unchanged"
+PHOTOGRAPH, TRUTH = "photograph", "truth"  # in the strips, beside the rows
 TILE = 200  # pixels of a picture's width in the strips
 EXPOSURES = np.exp2(np.linspace(-2, 2, 81))  # about that of equal means of linear values
 BLOTCH_PX, BLOTCH_PERCENTILE = 9, 99.0

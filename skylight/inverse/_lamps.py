@@ -314,7 +314,8 @@ class LampsProblem(LightProblem):
     as pay, or ``exactly`` so many. ``towards`` are directions that one lamp is looked for in
     besides those of the scan. ``sun_prior`` is what clock and place tell of the main light
     (:meth:`~skylight.inverse._sun_prior.SunPrior.anywhere`), ``ground`` the albedo below. Where
-    a photograph shows that it was taken ``outdoors``, by day, that family takes the other's place.
+    a photograph shows that it was taken ``outdoors``, by day, that family takes the other's place,
+    and its main light is the sun of clock and place.
     """
 
     uses_background = True
@@ -364,8 +365,9 @@ class LampsProblem(LightProblem):
 
     def add(self, observation: Observation, photo: int = 0) -> None:
         coarse = observation.on_rows(SCAN_HEIGHT)
-        if coarse.background is not None and coarse.background.outdoors:
-            self.family = self.outdoors or self.family
+        if self.outdoors and coarse.background is not None and coarse.background.outdoors:
+            self.family, clock = self.outdoors, self.faces.sun_prior
+            self.faces.sun_prior = clock and clock.anywhere(open_sky=1.0)
         device, levels = self.albedo_modes.device, self.options.levels
         self.faces.append(ScannedFace.of(coarse, photo, levels, device, sphere=True))
 

@@ -80,7 +80,7 @@ def sphere_problem(
         )
 
     by_day = replace(family(known | dict.fromkeys(NOT_BY_DAY, -math.inf)), most=1)  # the sun
-    seen = place == "auto" and "outdoors" in places.kinds
+    seen = place in ("auto", "outdoors") and "outdoors" in places.kinds
     weights = replace(options.weights, noise_of_face=True)
     efforts = replace(options, coarse=COARSE, fine=FINE, weights=weights)
     if sun_prior is not None:

@@ -10,7 +10,11 @@ import pytest
 
 from skylight.cli import main
 from skylight.errors import InputError
-from skylight.evaluation import _known_faces as known_faces, _relit_lamps as relit_lamps
+from skylight.evaluation import (
+    _known_faces as known_faces,
+    _main as evaluations,
+    _relit_lamps as relit_lamps,
+)
 from skylight.evaluation._known_faces import EstimateOptions
 from skylight.evaluation._lamps import lamp_index, tinted
 from skylight.evaluation._main import evaluate, run_evaluation
@@ -56,8 +60,9 @@ def test_what_makes_no_pairs_is_refused(tmp_path: Path) -> None:
         RelitLamps(data=tmp_path).with_peers({"theirs": tmp_path})
     (name, *_) = RelitLamps(data=tmp_path).items()
     (tmp_path / f"{name}.png").touch()
-    with pytest.raises(InputError, match="another name"):
-        RelitLamps(data=tmp_path).with_peers({"relit": tmp_path})
+    for ours in ("relit", "truth"):
+        with pytest.raises(InputError, match="another name"):
+            RelitLamps(data=tmp_path).with_peers({ours: tmp_path})
     with pytest.raises(InputError, match="leave --peer out"):
         evaluate("sky-models", quick=True, data=None, out=tmp_path, peers={"theirs": tmp_path})
 
@@ -76,8 +81,34 @@ def test_peers_of_the_command_line_are_refused_in_a_line(
 ) -> None:
     index(tmp_path, {"a_0.png": AHEAD, "a_1.png": AHEAD})
     command = ["evaluate", name, "--data", str(tmp_path), "--out", str(tmp_path / "out")]
-    assert main([*command, "--peer", *given]) == 2
+    assert main([*command, *(f"--peer={peer}" for peer in given)]) == 2
     assert said in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_the_command_that_is_recorded_names_every_peer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    index(tmp_path, {"a_0.png": AHEAD, "a_1.png": AHEAD})
+    peers = [tmp_path / name for name in ("one", "two")]
+    for folder in peers:
+        folder.mkdir()
+        for pair in RelitLamps(data=tmp_path).items():
+            (folder / f"{pair}.png").touch()
+    given = [f"--peer={folder.name}={folder}" for folder in peers]
+    ran: list[tuple[RelitLamps, str]] = []
+
+    def kept(run: RelitLamps, out: Path, *, command: str, **_: object) -> Path:
+        ran.append((run, command))
+        out.mkdir()
+        (out / "results.md").touch()
+        return out / "results.md"
+
+    monkeypatch.setattr(evaluations, "run_evaluation", kept)
+    command = ["evaluate", "relit-lamps", "--data", str(tmp_path), "--out", str(tmp_path / "out")]
+    assert main([*command, *given]) == 0
+    ((run, recorded),) = ran
+    assert run.peers == (("one", peers[0]), ("two", peers[1]))
+    assert recorded.endswith(" --peer one=one --peer two=two")
 
 
 def test_a_peer_is_to_be_beaten_in_every_metric(tmp_path: Path) -> None:

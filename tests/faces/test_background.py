@@ -250,6 +250,20 @@ def test_plants_and_a_bright_blue_above_are_outdoors(
     picture[:60:2], bright[:60:2] = 0.2 * exposure, 1.0
     assert _outdoors(picture, bright, upper, contrast) == expected
     assert not _outdoors(np.where(upper[:, None], 0.2, picture), bright, upper, 0.3)
+    picture[20:] = 0.2 * exposure  # a fifth of what is above, as of a plant in a pot
+    assert not _outdoors(picture, bright, upper, contrast)
+
+
+def test_what_stands_behind_a_person_is_seen_to_be_outdoors() -> None:
+    scene = lively()
+    grey = np.broadcast_to(scene[..., :1], scene.shape)
+    assert not observed(grey).outdoors
+    garden = grey**1.5 * np.float32([1.0, 2.0, 0.6])
+    assert observed(garden).outdoors
+    blue = grey**0.5 * np.float32([0.3, 0.45, 0.8])
+    for above, below, expected in ((blue, grey, True), (grey, blue, False)):
+        halves = np.where(Y[..., None] < 0, above, below)
+        assert observed(halves, level=0.05).outdoors == expected
 
 
 def test_the_white_about_a_round_crop_is_drawn_and_the_person_is_not() -> None:

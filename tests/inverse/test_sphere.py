@@ -9,6 +9,7 @@ import torch
 from skylight.inverse._estimate import estimate_light, light_problems
 from skylight.inverse._lamps import Fitted, LampsProblem, as_many_as_pay
 from skylight.inverse._sphere import INDOORS, OPEN_SKY, _by_sky
+from skylight.inverse._sun_prior import SunPart, SunPrior
 from skylight.models._sphere import SphereLight, SpherePrior
 from skylight.sphere._frame import DirectionGrid, angle_between
 from skylight.transport._background import Background
@@ -119,6 +120,7 @@ def test_places_under_the_open_sky_are_searched_by_themselves(count) -> None:
 
 def test_plants_behind_a_face_are_outdoors_by_day_unless_the_place_is_known() -> None:
     seen = lit_ball((ONE, 3.0))
+    clock = SunPrior(parts=(SunPart(share=1.0, zenith_rad=0.7),))
     averages = TransportMatrix(matrix=torch.ones(1, 2048) / 2048, grid=DirectionGrid.latlong(32))
     behind = Background(
         radiance=torch.ones(1, 3),
@@ -128,7 +130,7 @@ def test_plants_behind_a_face_are_outdoors_by_day_unless_the_place_is_known() ->
         outdoors=True,
     )
     for place, kinds in (("auto", {"outdoors"}), ("indoors", {*INDOORS})):
-        (problem,) = light_problems("sphere", place=place, device="cpu")
+        (problem,) = light_problems("sphere", place=place, sun_priors=[clock], device="cpu")
         empty = problem.another()
         problem.add(replace(seen, background=behind))
         prior = problem.family.prior(0)
@@ -136,3 +138,8 @@ def test_plants_behind_a_face_are_outdoors_by_day_unless_the_place_is_known() ->
         assert {k for k, share in zip(prior.kinds, shares, strict=True) if share > 0} == kinds
         assert (problem.family is empty.family) == (place != "auto")
         assert problem.family.most == (1 if place == "auto" else 3)
+        found, before = problem.faces.sun_prior, empty.faces.sun_prior
+        if place == "auto":  # what the clock says of the sun is of the main light, then
+            assert found.open_sky == 1.0 > before.open_sky
+        else:
+            assert found is before is None
