@@ -8,7 +8,7 @@ import pytest
 from tools import records
 
 # Their commits were lost when histories were joined; each of their rows says so.
-LOST = {"films", "lamps", "live"}
+LOST = {"films", "live"}
 history = pytest.mark.skipif(
     not records.has_history(), reason="needs git and all commits of this repository"
 )

@@ -21,6 +21,7 @@ from PIL import Image
 from rich.progress import track
 
 from skylight._figures import angles_deg
+from skylight.estimation._kept import KeptFace
 from skylight.estimation._photos import estimate_photo
 from skylight.estimation._report import write_results
 from skylight.estimation._summary import PhotoEstimate
@@ -29,7 +30,8 @@ from skylight.io._atomic import atomic_path
 from skylight.io._bounded import json_content
 from skylight.maps._viewer import export_viewer
 from skylight.portrait._files import relit_portrait, shown, taken_apart
-from skylight.portrait._lights import NewLight, light_of_map, light_with_sun_at, rotated_light
+from skylight.portrait._keys import SOFT_DEG, key_light
+from skylight.portrait._lights import NewLight, light_of_map
 from skylight.portrait._relit import Keep
 from skylight.sphere._envmap import luminance
 from skylight.transport._scene import evaluation_scene
@@ -61,14 +63,13 @@ FAILED = {
 }
 HEIGHT = 300
 SHARE = 0.2  # of the samples of light in objects, whose noise is not seen at that height
-LEFT, RIGHT, ELEVATION = -65.0, 65.0, 30.0
 COLUMNS = (
     "the photograph",
     "the light found, and objects in it",
     "what the page of `skylight export viewer` puts into the picture",
-    f"its sun, or main lamp, at {LEFT:g}°",
-    f"at {RIGHT:g}°",
-    "its light turned by 180°",
+    "with `--key left`",
+    "with `--key right`",
+    "with `--key top --soft`",
     "under a captured map",
 )
 
@@ -103,18 +104,18 @@ def main(options: Options) -> None:
 
 def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
     """Write the strip; what the page says of it."""
-    result = estimate_photo(photo, light="auto")
-    estimate = result.estimate
+    result = estimate_photo(photo)
+    face, estimate = KeptFace.of(result), result.estimate
     pictures = [result.photos[0].encoded, _light(result), _objects(result, photo)]
     lights: list[tuple[NewLight, Keep]] = [
-        (light_with_sun_at(estimate, LEFT, ELEVATION), "place"),
-        (light_with_sun_at(estimate, RIGHT, ELEVATION), "place"),
-        (rotated_light(estimate, 180.0), "place"),
+        (key_light(face, "left"), "place"),
+        (key_light(face, "right"), "place"),
+        (key_light(face, "top", size_deg=SOFT_DEG), "place"),
         (light_of_map(map_path), "brightness"),
     ]
-    portrait = taken_apart(result)
+    portrait = taken_apart(face)
     for light, keep in lights:
-        pictures.append(shown(relit_portrait(result, light, keep=keep, portrait=portrait)))
+        pictures.append(shown(relit_portrait(face, light, keep=keep, portrait=portrait)))
     row = np.hstack([_sized(picture) for picture in pictures])
     with atomic_path(strip) as temporary:
         Image.fromarray(row).save(temporary, format="JPEG", quality=85)
@@ -123,7 +124,7 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
         "columns": len(COLUMNS),
         "light": estimate.light,
         "verdict": estimate.verdict.summary,
-        "notes": list(lights[0][0].notes),
+        "notes": list(portrait.doubts),
         "azimuth_deg": azimuth,
         "elevation_deg": 90 - zenith,
     }
@@ -159,8 +160,8 @@ def _page(told: dict[str, dict], sources: dict[str, dict], map_name: str) -> str
     lines = [
         "# Gallery",
         "",
-        "Photographs of people whom skylight has never seen, the light that it found in each with "
-        "`--light auto`, and the same portraits [in other light](portraits.md). They were chosen "
+        "Photographs of people whom skylight has never seen, the light that it found in each, "
+        "and the same portraits [in other light](portraits.md). They were chosen "
         "for their kinds of light, those at the end for how they fail; nothing was "
         "retouched, and where a verdict says *unknown* or *unreliable*, believe it. From left to "
         "right: " + "; ".join(COLUMNS) + f" (`{map_name}`).",
@@ -181,7 +182,7 @@ def _entry(name: str, facts: dict, source: dict) -> list[str]:
     light = f"{facts['light']}: {facts['verdict']}; brightest {side}, {height:.0f}° high"
     credit = f"[source]({source['original']}), CC0" if source["original"] else "public domain"
     alt = "a portrait, its light, objects in the picture, and the portrait in four other lights"
-    notes = "".join(f" In the fourth and fifth picture, {note}." for note in facts["notes"])
+    notes = "".join(f" In other light: {note}." for note in facts["notes"])
     return [f"![{alt}](images/gallery/{name})", "", f"{light}.{notes} Photograph: {credit}."]
 
 

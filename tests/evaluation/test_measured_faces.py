@@ -112,9 +112,9 @@ def lamp_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(lamps, "light_by_method", light_by_method)
     for name in ("seen_and_rendered", "strip", "beside"):
         monkeypatch.setattr(lamps, name, no_picture)
-    lamps._read_index.cache_clear()
+    lamps.lamp_index.cache_clear()
     yield tmp_path
-    lamps._read_index.cache_clear()
+    lamps.lamp_index.cache_clear()
 
 
 def test_lamps_beside_a_face_count_and_those_behind_do_not(lamp_folder: Path) -> None:
