@@ -82,20 +82,14 @@ class BackgroundPixels:
             Too little of it is seen, or it was drawn.
         """
         full = picture.numpy()
-        scale = min(1.0, LONG_SIDE_PX / max(full.shape[:2]))
-        size = tuple(max(1, round(side * scale)) for side in full.shape[1::-1])
-
-        def small(image: Float[ndarray, "h w *c"]) -> Float[ndarray, "p q *c"]:
-            return cv2.resize(np.ascontiguousarray(image), size, interpolation=cv2.INTER_AREA)
-
-        seen, hair = small(full), small(hair)
+        seen, hair = _small(full), _small(hair)
         codes = (255 * linear_to_srgb(torch.from_numpy(seen).clamp(0, 1))).round().byte().numpy()
-        cameras = [fit.camera.resized(*size) for fit in fits]
+        cameras = [fit.camera.resized(*seen.shape[1::-1]) for fit in fits]
         people, faces = np.zeros(seen.shape[:2], bool), np.zeros(seen.shape[:2], bool)
         for fit, camera in zip(fits, cameras, strict=True):
             person, face = _person(fit, camera, codes, hair)
             people, faces = people | person, faces | face
-        drawn = _drawn(codes, small(_even(full).astype(np.float32)) > FLAT_SHARE, people)
+        drawn = _drawn(codes, _even(full), people)
         usable = ~(people | drawn | _beyond_seams(codes, faces))
         needed = FEWEST_BLOCKS * LEAST_OF_BLOCK / math.prod(MOST_BLOCKS)
         if (usable | drawn).mean() < needed:
@@ -104,7 +98,7 @@ class BackgroundPixels:
             raise InputError("it is of one even colour, drawn rather than photographed")
         return BackgroundPixels(
             picture=seen,
-            clipped=small(clipped.float().numpy()),
+            clipped=_small(clipped.float().numpy()),
             usable=usable,
             camera=cameras[0],
         )
@@ -228,26 +222,29 @@ def _silhouette(
     return drawn > 0
 
 
-def _even(picture: Shaped[ndarray, "h w 3"]) -> Bool[ndarray, "h w"]:
-    """Which pixels are exactly the one on their right and the one below."""
+def _even(picture: Shaped[ndarray, "h w 3"]) -> Bool[ndarray, "p q"]:
+    """Which small pixels are of such as are exactly the one on their right and the one below."""
     right = (picture[:, :-1] == picture[:, 1:]).all(2)
     below = (picture[:-1] == picture[1:]).all(2)
-    return np.pad(right, ((0, 0), (0, 1)), "edge") & np.pad(below, ((0, 1), (0, 0)), "edge")
+    even = np.pad(right, ((0, 0), (0, 1)), "edge") & np.pad(below, ((0, 1), (0, 0)), "edge")
+    return _small(even.astype(np.float32)) > FLAT_SHARE
 
 
 def drawn_parts(
     encoded: UInt8[ndarray, "h w 3"], person: Float[ndarray, "h w"]
 ) -> Float[ndarray, "h w"]:
     """1 where a picture is a frame, a bar, or what is about a round crop or a cut-out person."""
-    scale = min(1.0, LONG_SIDE_PX / max(person.shape))
-    size = tuple(max(2, round(side * scale)) for side in person.shape[::-1])
-
-    def small(image: Shaped[ndarray, "h w *c"]) -> Shaped[ndarray, "p q *c"]:
-        return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-
-    even = small(_even(encoded).astype(np.float32)) > FLAT_SHARE
-    drawn = _drawn(small(encoded), even, small(person.astype(np.float32)) > LEAST_MATTE)
+    people = _small(person.astype(np.float32)) > LEAST_MATTE
+    drawn = _drawn(_small(encoded), _even(encoded), people)
     return cv2.resize(drawn.astype(np.float32), person.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def _small(image: Shaped[ndarray, "h w *c"]) -> Shaped[ndarray, "p q *c"]:
+    """In pixels of which the longer side has :data:`LONG_SIDE_PX`, or as it is."""
+    height, width = image.shape[:2]
+    scale = min(1.0, LONG_SIDE_PX / max(height, width))
+    size = max(2, round(width * scale)), max(2, round(height * scale))
+    return cv2.resize(np.ascontiguousarray(image), size, interpolation=cv2.INTER_AREA)
 
 
 def _drawn(

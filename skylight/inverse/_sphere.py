@@ -19,11 +19,11 @@ from skylight.inverse._descent import Stage
 from skylight.inverse._faces import Level
 from skylight.inverse._lamps import LampFamily, LampsOptions, LampsProblem
 from skylight.inverse._sun_prior import SunPrior
+from skylight.inverse._verdict import CAMERA
 from skylight.models._ground import KnownGround
 from skylight.models._prior import GaussianMixture
 from skylight.models._sphere import Places, SphereLight, SpherePrior, shipped
 
-CAMERA_DIRECTION = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)  # from the face
 INDOORS, OPEN_SKY = ("home", "workplace", "studio", "car"), ("outdoors", "street")
 RULED_OUT: dict[Place, tuple[str, ...]] = {"outdoors": INDOORS, "indoors": OPEN_SKY}
 # Of what stands behind people, plants and skies are seen by day
@@ -122,4 +122,4 @@ def _by_sky(
 
 def towards_of(place: Place) -> Float[Tensor, "1 3"] | None:
     """Where one lamp is looked for besides: at the camera, where a flash was fired."""
-    return CAMERA_DIRECTION[None] if place == "flash" else None
+    return CAMERA[None] if place == "flash" else None
