@@ -20,7 +20,7 @@ from skylight.sphere._envmap import LUMINANCE
 
 # Lengths are in heights of the face.
 SHARP = 0.02  # standard deviation of the Gaussian of skin's shading: what a fitted head is off by
-SOFT = 0.06  # and of that of hair and clothes
+SOFT = 0.08  # and of that of hair and clothes
 TINT = 0.12  # and of the colour of light
 EXACT = 0.01  # and of the shading whose edges the picture places
 LOCAL = 0.05  # and of the neighbourhood in which shading is compared with the picture
@@ -28,12 +28,13 @@ EDGE = 0.02  # radius of the guided filter that tells shading's edges from textu
 SPREAD = 0.1  # and of the one of the matte in clothes
 CODES = 8.0  # of 255: less is no edge of a person
 # Logarithms.
-BRIGHTER, DARKER, TINTED = 1.0, 2.0, 0.2  # what gains approach on either side of skin's mean
+BRIGHTER, DARKER, TINTED = 1.0, 2.0, 0.1  # what gains approach on either side of skin's mean
 TEXTURE = 0.05  # standard deviation of skin's albedo
 HUE = 0.15  # what skin's own colour differs by from place to place
 PORES = 0.15  # what the guided filter takes for texture
 BASE = 0.04  # of the mean shading, in addition: light that bounces between the parts of a face
 SHINE = 0.7  # of the specular reflection, which no estimate knows well
+NEARLY_WHITE, WHITE = 0.85, 0.98  # from where on over-exposed is likely, and is certain
 _DARKEST = 0.004  # of white, before logarithms: noise of the darkest pixels
 _LUMINANCE = np.array(LUMINANCE, np.float32)
 
@@ -228,8 +229,9 @@ def _unseen_colour(
     shown = blurred(small, plain, TINT * on.face_px) + np.float32(1e-9)
     shown = np.log(shown / (shown @ _LUMINANCE)[..., None])
     skin = plain > 0
-    slopes = [_slope(colour[skin][:, k], shown[skin][:, k]) for k in range(3)]
-    hidden = (1 - np.array(slopes, np.float32)) * (colour - colour[skin].mean(0))
+    slopes = np.array([_slope(colour[skin][:, k], shown[skin][:, k]) for k in range(3)], np.float32)
+    bare = blurred(on.bare[..., None], on.covered, TINT * on.face_px)
+    hidden = (1 - slopes * bare) * (colour - colour[skin].mean(0))
     mean = np.log(small[skin].mean(0) / (small[skin].mean(0) @ _LUMINANCE))
     near = blurred(small, plain, LOCAL * on.face_px) + np.float32(1e-9)
     lacks = mean - np.log(near / (near @ _LUMINANCE)[..., None])
@@ -269,3 +271,16 @@ def soft_matte(
 
     near = resized(np.clip(2 * cv2.GaussianBlur(head, (0, 0), SPREAD * face_px), 0, 1), size)
     return np.clip(near * followed(EDGE) + (1 - near) * followed(SPREAD), 0, 1)
+
+
+def blown_out(
+    photo: Float[ndarray, "h w 3"], skin: Float[ndarray, "h w"], face_px: float
+) -> Float[ndarray, "h w"]:
+    """How far a pixel is over-exposed, among others that are; 0 on skin.
+
+    White hair and cloth may be of any brightness: made darker they are grey.
+    """
+    brightest = photo.max(2)
+    white = np.clip((brightest - NEARLY_WHITE) / (WHITE - NEARLY_WHITE), 0, 1)
+    near = cv2.GaussianBlur(float32(white), (0, 0), SOFT * face_px / 2)
+    return (1 - skin) * white * np.clip(2.5 * near - 0.5, 0, 1)

@@ -1,16 +1,16 @@
 """One key light over a dim fill, as photographers light a portrait.
 
 Angles are those of whoever looks at the picture: an azimuth of 0 is at the camera, positive ones
-are to the viewer's right, 180 is behind the sitter. The fill is the light found without its sun or
-lamps, dimmed, and the key a lamp of the mean colour of all light found::
+are to the viewer's right, 180 is behind the sitter. The fill is even, and the key a lamp, both of
+the mean colour of all light found::
 
     L(w) = f (R(w) + s B(R) c g(w; d, a)).
 
-g is a lobe of irradiance 1 on what faces it, c a colour of luminance 1, R the rest of the light
+g is a lobe of irradiance 1 on what faces it, c a colour of luminance 1, R the mean of the light
 found, and s how many times as bright as the fill the key makes what faces it. B is the mean
 irradiance of what the camera sees of a ball in the sitter's place (:func:`ball_weights`). f leaves
-that ball as bright as the light found has it when the key stands at :data:`METERED`: the lamp's
-strength is set once and stays wherever it is put, so that a sitter lit from behind is dark.
+that ball as bright as the light found has it, as an exposure meter would: a key behind the sitter
+is a bright rim, not a dark face.
 """
 
 import math
@@ -27,7 +27,6 @@ from skylight.inverse._lamp_relighting import lamps_radiance
 from skylight.inverse._result import Lamp
 from skylight.portrait._lights import NewLight
 from skylight.portrait._relit import light_in_photo
-from skylight.relight._lamps import split_main_light, without_lamps
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import direction_from_angles
 
@@ -42,12 +41,10 @@ KEYS = MappingProxyType[KeyName, tuple[float, float]](
         "front": (0.0, 15.0),
     }
 )
-METERED = KEYS["left"]  # or right: a ball is lit as much by either
 # Angular diameters in degrees: a softbox or window nearby, a beauty dish, a bare bulb
 SOFT_DEG, USUAL_DEG, HARD_DEG = 40.0, 15.0, 5.0
 NARROWEST_DEG, WIDEST_DEG = 2.0, 120.0  # a lobe narrower than a map's pixels is none; a wall
-KEY_OVER_FILL = 4.0  # s: two stops, as for a portrait with clear light and shade
-BLACK = 1e-3  # of the light found: a rest that is less is none
+KEY_OVER_FILL = 8.0  # s: three stops, as for a portrait with clear light and shade
 
 
 def ball_weights(directions: Float[Tensor, "*n 3"]) -> Float[Tensor, " *n"]:
@@ -76,19 +73,10 @@ def brightness_of_ball(light: EnvironmentMap) -> float:
 
 
 def fill_of(found: FoundLight) -> EnvironmentMap:
-    """R of the module's text, in the photograph's colours and units.
-
-    Where nothing else was found, an even one of the light's mean colour.
-    """
-    if found.lamps:
-        rest = without_lamps(found.environment, found.lamps)
-    else:
-        _, rest = split_main_light(found.environment)
-    rest, whole = light_in_photo(found, rest), light_in_photo(found)
-    if brightness_of_ball(rest) > BLACK * brightness_of_ball(whole):
-        return rest
-    even = whole.integrate() / (4 * math.pi)
-    return EnvironmentMap(radiance=even.to(whole.radiance).expand(whole.radiance.shape).clone())
+    """R of the module's text, in the photograph's colours and units."""
+    whole = light_in_photo(found)
+    even = (whole.integrate() / (4 * math.pi)).to(whole.radiance)
+    return EnvironmentMap(radiance=even.expand(whole.radiance.shape).clone())
 
 
 def key_light(
@@ -118,11 +106,11 @@ def key_light(
     azimuth_deg, elevation_deg = KEYS[key] if isinstance(key, str) else key
     check_key(azimuth_deg, elevation_deg, size_deg, strength)
     fill, whole = fill_of(found), light_in_photo(found)
-    level, metered = brightness_of_ball(fill), ball_weights(direction_seen(*METERED))
-    dimmed = brightness_of_ball(whole) / (level * (1 + strength * float(metered)))
+    level, towards = brightness_of_ball(fill), direction_seen(azimuth_deg, elevation_deg)
+    dimmed = brightness_of_ball(whole) / (level * (1 + strength * float(ball_weights(towards))))
     colour = whole.integrate().double()
     lamp = Lamp(
-        direction=direction_seen(azimuth_deg, elevation_deg),
+        direction=towards,
         irradiance=dimmed * strength * level * colour / luminance(colour),
         # a disc's diameter is four spreads of a lobe: skylight.relight._lamps.disc_diameter_rad
         spread_rad=math.radians(size_deg) / 4,

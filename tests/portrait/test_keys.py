@@ -11,13 +11,11 @@ import torch
 from skylight._names import KeyName
 from skylight.errors import InputError
 from skylight.estimation._kept import KeptFace
-from skylight.inverse._lamp_relighting import lamps_radiance
 from skylight.inverse._result import Lamp
 from skylight.portrait._keys import (
     HARD_DEG,
     KEY_OVER_FILL,
     KEYS,
-    METERED,
     SOFT_DEG,
     USUAL_DEG,
     ball_weights,
@@ -91,10 +89,10 @@ def test_brightness_stays_and_the_key_is_so_much_brighter_than_the_fill(strength
 
 
 def metered() -> torch.Tensor:
-    return direction_seen(*METERED)
+    return direction_seen(*KEYS["left"])
 
 
-def test_the_lamp_keeps_its_strength_wherever_it_stands() -> None:
+def test_a_person_stays_as_bright_wherever_the_key_stands() -> None:
     found = with_light(even())
     received = {
         name: float(
@@ -104,10 +102,12 @@ def test_the_lamp_keeps_its_strength_wherever_it_stands() -> None:
         )
         for name in KEYS
     }
-    assert max(received.values()) == pytest.approx(min(received.values()), rel=1e-3)
-    ball = {name: brightness_of_ball(key_light(found, name).environment) for name in KEYS}
-    assert ball["rim"] < ball["top"] < ball["left"] < ball["front"]
-    assert ball["left"] == pytest.approx(ball["right"], rel=1e-6)
+    assert received["rim"] > received["top"] > received["left"] > received["front"]
+    assert received["left"] == pytest.approx(received["right"], rel=1e-6)
+    whole = brightness_of_ball(light_in_photo(found))
+    for name in KEYS:
+        ball = brightness_of_ball(key_light(found, name).environment)
+        assert ball == pytest.approx(whole, rel=0.01)  # of a wide key that grazes, more reaches it
 
 
 @pytest.mark.parametrize("size_deg", [HARD_DEG, USUAL_DEG, SOFT_DEG])
@@ -122,32 +122,14 @@ def test_a_key_is_as_wide_as_a_disc_of_that_diameter(size_deg: float) -> None:
     assert radius == pytest.approx(size_deg / 2, rel=0.02)
 
 
-def test_sun_and_lamps_leave_the_fill_and_a_black_rest_is_even() -> None:
+def test_the_fill_is_even_and_of_the_colour_of_all_light() -> None:
     sun = torch.tensor([2.0, 1.8, 1.5])
-    gains = known_face().white_balance
-    for found in (
-        with_light(even().with_light(direction(40.0, 50.0), sun)),
-        lamp_lit(even()),
-    ):
-        torch.testing.assert_close(
-            fill_of(found).radiance, even().radiance * gains, rtol=1e-3, atol=1e-4
-        )
-    dark = lamp_lit(EnvironmentMap(radiance=torch.zeros(64, 128, 3)))
-    fill = fill_of(dark).flat
-    torch.testing.assert_close(fill, fill[:1].expand(fill.shape))
+    found = with_light(even().with_light(direction(40.0, 50.0), sun))
+    fill = fill_of(found)
+    torch.testing.assert_close(fill.flat, fill.flat[:1].expand(fill.flat.shape))
     torch.testing.assert_close(
-        fill_of(dark).integrate(), light_in_photo(dark).integrate(), rtol=1e-4, atol=0
+        fill.integrate(), light_in_photo(found).integrate(), rtol=1e-4, atol=0
     )
-
-
-def lamp_lit(ambient: EnvironmentMap) -> KeptFace:
-    """With one lamp behind the camera and one ahead, in ambient light."""
-    lamps = [
-        Lamp(direction=direction(azimuth, 60.0), irradiance=SKY, spread_rad=math.radians(12))
-        for azimuth in (150.0, 10.0)
-    ]
-    lobes = lamps_radiance(lamps, 64).reshape(64, 128, 3).float()
-    return with_light(EnvironmentMap(radiance=ambient.radiance + lobes), *lamps)
 
 
 @lru_cache(maxsize=1)
@@ -174,9 +156,10 @@ def test_a_key_lights_the_side_of_the_picture_that_it_is_named_by(
         assert right > 0.05 * width
     elif key == "front":
         assert abs(right) < 0.05 * width
-    elif key == "rim":  # hardly any of it reaches the face
-        front, _ = face.shaded_by(key_light(known_face(), "front").environment)
-        assert bright.mean() < 0.5 * front[rows, columns].mean()
+    elif key == "rim":  # it reaches but the edge of the face
+        front = face.shaded_by(key_light(known_face(), "front").environment)[0].mean(2)
+        by_front = front[rows, columns]
+        assert bright.max() / np.median(bright) > 3 * by_front.max() / np.median(by_front)
     else:
         assert below < 0 if key == "top" else below > 0
 

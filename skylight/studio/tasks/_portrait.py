@@ -42,11 +42,8 @@ from skylight.portrait._gain import BASE, BRIGHTER, DARKER, SHARP, SHINE, SOFT, 
 from skylight.portrait._keys import (
     KEY_OVER_FILL,
     KEYS,
-    METERED,
     USUAL_DEG,
-    ball_weights,
     brightness_of_ball,
-    direction_seen,
     fill_of,
 )
 from skylight.portrait._relit import (
@@ -129,7 +126,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     ``found_power`` and ``rest_power`` are :func:`~skylight.portrait._relit.coarse_power`;
     ``rest_map`` is to be looked at. The rest of the light is R of :mod:`skylight.portrait._keys`,
     whose c and B are ``colour`` and ``fill``; ``ball`` is how bright the light found makes the
-    ball, ``metered`` its weight of the key light.
+    ball.
     """
     surface, rest = portrait.person.surface, fill_of(face)
     rest_shading, rest_specular = portrait.shaded_by(rest)
@@ -174,7 +171,6 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "colour": colour.tolist(),
         "fill": brightness_of_ball(rest),
         "ball": brightness_of_ball(portrait.found),
-        "metered": float(ball_weights(direction_seen(*METERED))),
         "gloss": portrait.specular_scale,
         "lobe": {"f0": SKIN_SPECULAR.f0, "alpha": SKIN_SPECULAR.alpha},
         "sigmas_px": [x * portrait.on.face_px for x in (SHARP, SOFT, TINT)],

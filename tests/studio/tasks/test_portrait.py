@@ -22,7 +22,7 @@ from skylight.faces._fit import FaceFit
 from skylight.imaging._photo import read_photo
 from skylight.io._tensors import read_tensors
 from skylight.portrait._gain import Level, filled, tinted
-from skylight.portrait._keys import KEYS, key_light
+from skylight.portrait._keys import KEYS, ball_weights, direction_seen, key_light
 from skylight.portrait._relit import (
     Portrait,
     coarse_power,
@@ -149,7 +149,8 @@ def test_the_page_gets_points_and_bits_of_the_surface(told: Told, taken_apart: T
     codes = tensors["picture"][..., :3].numpy()
     np.testing.assert_array_equal(codes, taken_apart.codes)
     # a key light as bright as its fill is, by both numbers, as bright as the light found
-    dimmed = facts["ball"] / (facts["fill"] * (1 + facts["metered"]))
+    weight = float(ball_weights(direction_seen(*KEYS["right"])))
+    dimmed = facts["ball"] / (facts["fill"] * (1 + weight))
     light = key_light(told.found.estimate, "right", strength=1.0).environment
     rest = dimmed * float(tensors["rest_power"].sum())
     added = float(coarse_power(light).sum()) - rest

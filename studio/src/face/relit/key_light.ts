@@ -76,6 +76,13 @@ export function lobe(middle: Vec3, spreadRad: number, rows = ROWS, isQuick = tru
   };
 }
 
+/** Of light from there, on what the camera sees of a ball: skylight.portrait._keys.ball_weights. */
+function ballWeight(towards: Vec3): number {
+  const cosine = Math.min(Math.max(towards[2], -1), 1);
+  const angle = Math.acos(cosine);
+  return (2 / (3 * Math.PI)) * (Math.sin(angle) + (Math.PI - angle) * cosine);
+}
+
 /** A person under the fill, and a key light wherever it is put. */
 export class KeyLight {
   /** About all of the person, in cells of 2 x 2 pixels: what is blurred needs no more. */
@@ -163,10 +170,11 @@ export class KeyLight {
    */
   under(azimuthDeg: number, zenithDeg: number, strength: number, sizeDeg: number): Lit {
     const { facts, restShading, restGlossy } = this.person;
-    const dimmed = facts.ball / (facts.fill * (1 + strength * facts.metered));
+    const towards = fromAngles(azimuthDeg, zenithDeg);
+    const dimmed = facts.ball / (facts.fill * (1 + strength * ballWeight(towards)));
     const key = triple(facts.colour.map((value) => dimmed * strength * facts.fill * value));
     // a disc's diameter is four spreads of a lobe
-    const from = lobe(fromAngles(azimuthDeg, zenithDeg), (sizeDeg * Math.PI) / 180 / 4);
+    const from = lobe(towards, (sizeDeg * Math.PI) / 180 / 4);
     const transport = this.transport(from);
     const lightOf = (rest: Float32Array, offset: number): Float32Array =>
       rest.map((fill, at) => dimmed * fill + key[at % 3]! * transport[2 * Math.floor(at / 3) + offset]!);

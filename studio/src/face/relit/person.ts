@@ -16,7 +16,6 @@ export interface Facts {
   colour: Rgb;
   fill: number;
   ball: number;
-  metered: number;
   gloss: number;
   lobe: { f0: number; alpha: number };
   sigmas_px: [sharp: number, soft: number, tint: number];
