@@ -124,7 +124,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     for each of 32 x 64 directions, the lowest first. ``unseen`` (h,w) is that of
     :class:`~skylight.portrait._gain.Unseen`, from -:data:`_UNSEEN` to that in 255 steps.
     ``found_power`` and ``rest_power`` are :func:`~skylight.portrait._relit.coarse_power`;
-    ``rest_map`` is to be looked at. The rest of the light is R of :mod:`skylight.portrait._keys`,
+    ``found_map`` is to be looked at. The rest of the light is R of :mod:`skylight.portrait._keys`,
     whose c and B are ``colour`` and ``fill``; ``ball`` is how bright the light found makes the
     ball.
     """
@@ -156,7 +156,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "visible": _bits(portrait.person.sight.visible),
         "found_power": coarse_power(portrait.found).float(),
         "rest_power": coarse_power(rest).float(),
-        "rest_map": rest.resize(min(_MAP_ROWS, rest.layout[0])).radiance,
+        "found_map": portrait.found.resize(min(_MAP_ROWS, portrait.found.layout[0])).radiance,
     }
     tensors |= {
         name: torch.from_numpy(image[rows, columns]).float() for name, image in of_points.items()

@@ -86,9 +86,9 @@ function relitView(person: Person, title: string): { element: HTMLElement; pictu
   };
 
   const said = el("p", { class: "visually-hidden", role: "status" });
-  const map = panorama(`${title}: the fill light around the camera`);
-  map.setMap(person.restMap);
-  map.setExposure(1 / whiteLevel(person.restMap));
+  const map = panorama(`${title}: the light around the camera`);
+  map.setMap(person.foundMap);
+  map.setExposure(1 / whiteLevel(person.foundMap));
   const say = (line: string): void => {
     said.textContent = line;
   };

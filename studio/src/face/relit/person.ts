@@ -49,7 +49,7 @@ export interface Person {
   known: Float32Array;
   foundPower: Float32Array;
   restPower: Float32Array;
-  restMap: { width: number; height: number; data: Float32Array };
+  foundMap: { width: number; height: number; data: Float32Array };
 }
 
 export function readPerson(file: ArrayBuffer): Person {
@@ -76,6 +76,6 @@ export function readPerson(file: ArrayBuffer): Person {
     known: tensors.floats("known"),
     foundPower: tensors.floats("found_power"),
     restPower: tensors.floats("rest_power"),
-    restMap: { ...sized("rest_map"), data: tensors.floats("rest_map") },
+    foundMap: { ...sized("found_map"), data: tensors.floats("found_map") },
   };
 }
