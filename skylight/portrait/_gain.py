@@ -34,7 +34,6 @@ HUE = 0.15  # what skin's own colour differs by from place to place
 PORES = 0.15  # what the guided filter takes for texture
 BASE = 0.04  # of the mean shading, in addition: light that bounces between the parts of a face
 SHINE = 0.7  # of the specular reflection, which no estimate knows well
-NEARLY_WHITE, WHITE = 0.85, 0.98  # from where on over-exposed is likely, and is certain
 _DARKEST = 0.004  # of white, before logarithms: noise of the darkest pixels
 _LUMINANCE = np.array(LUMINANCE, np.float32)
 
@@ -271,16 +270,3 @@ def soft_matte(
 
     near = resized(np.clip(2 * cv2.GaussianBlur(head, (0, 0), SPREAD * face_px), 0, 1), size)
     return np.clip(near * followed(EDGE) + (1 - near) * followed(SPREAD), 0, 1)
-
-
-def blown_out(
-    photo: Float[ndarray, "h w 3"], skin: Float[ndarray, "h w"], face_px: float
-) -> Float[ndarray, "h w"]:
-    """How far a pixel is over-exposed, among others that are; 0 on skin.
-
-    White hair and cloth may be of any brightness: made darker they are grey.
-    """
-    brightest = photo.max(2)
-    white = np.clip((brightest - NEARLY_WHITE) / (WHITE - NEARLY_WHITE), 0, 1)
-    near = cv2.GaussianBlur(float32(white), (0, 0), SOFT * face_px / 2)
-    return (1 - skin) * white * np.clip(2.5 * near - 0.5, 0, 1)

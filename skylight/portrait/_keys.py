@@ -36,7 +36,7 @@ KEYS = MappingProxyType[KeyName, tuple[float, float]](
     {
         "left": (-50.0, 30.0),
         "right": (50.0, 30.0),
-        "top": (0.0, 65.0),
+        "top": (0.0, 50.0),
         "rim": (140.0, 35.0),
         "front": (0.0, 15.0),
     }
@@ -44,7 +44,7 @@ KEYS = MappingProxyType[KeyName, tuple[float, float]](
 # Angular diameters in degrees: a softbox or window nearby, a beauty dish, a bare bulb
 SOFT_DEG, USUAL_DEG, HARD_DEG = 40.0, 15.0, 5.0
 NARROWEST_DEG, WIDEST_DEG = 2.0, 120.0  # a lobe narrower than a map's pixels is none; a wall
-KEY_OVER_FILL = 8.0  # s: three stops, as for a portrait with clear light and shade
+KEY_OVER_FILL = 4.0  # s: two stops, as for a portrait with clear light and shade
 
 
 def ball_weights(directions: Float[Tensor, "*n 3"]) -> Float[Tensor, " *n"]:

@@ -42,15 +42,12 @@ from skylight.imaging._photo import Photo
 from skylight.portrait._gain import (
     EXACT,
     SHARP,
-    WHITE,
     Level,
     Surface,
     Unseen,
-    blown_out,
     bounded,
     enlarged,
     float32,
-    resized,
     soft_matte,
     tinted,
     unseen,
@@ -69,7 +66,7 @@ BELOW = (Region.NECK, BUST)  # what long hair hangs in front of
 # where its light comes from.
 Keep = Literal["nothing", "brightness", "place"]
 _LUMINANCE = np.array(LUMINANCE, np.float32)
-MANY_WHITE = 0.1  # how much of the skin may be over-exposed
+WHITE, MANY_WHITE = 0.98, 0.1  # over-exposed, and how much of the skin may be
 MORE_BEHIND = 6.0  # times the light that falls on the front of an upright surface
 FLAT = 0.2  # standard deviation of logarithms: skin that shows no direction of its light
 LITTLE = 0.3  # of the light's variation
@@ -145,9 +142,6 @@ class Portrait:
         hidden = unseen(picture, before, exact, float32(plain) if plain.any() else on.bare, on)
         head = float32((regions >= 0) & (regions != BUST))
         matte = soft_matte(picture, float32(matte), head, person.face_px)
-        size = (matte.shape[0], matte.shape[1])
-        skin, face_px = resized(on.bare, size), on.face_px * size[0] / len(on.bare)
-        matte = matte * (1 - blown_out(float32(photo.numpy()), skin, face_px))
         doubts = _doubts(small[on_skin], found, hidden)
         return Portrait(
             photo=float32(photo.numpy()),

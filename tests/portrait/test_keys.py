@@ -102,7 +102,7 @@ def test_a_person_stays_as_bright_wherever_the_key_stands() -> None:
         )
         for name in KEYS
     }
-    assert received["rim"] > received["top"] > received["left"] > received["front"]
+    assert received["rim"] > received["left"] > received["top"] > received["front"]
     assert received["left"] == pytest.approx(received["right"], rel=1e-6)
     whole = brightness_of_ball(light_in_photo(found))
     for name in KEYS:
@@ -159,7 +159,7 @@ def test_a_key_lights_the_side_of_the_picture_that_it_is_named_by(
     elif key == "rim":  # it reaches but the edge of the face
         front = face.shaded_by(key_light(known_face(), "front").environment)[0].mean(2)
         by_front = front[rows, columns]
-        assert bright.max() / np.median(bright) > 3 * by_front.max() / np.median(by_front)
+        assert bright.max() / np.median(bright) > 2 * by_front.max() / np.median(by_front)
     else:
         assert below < 0 if key == "top" else below > 0
 

@@ -13,7 +13,7 @@ from skylight.errors import InputError
 from skylight.faces._model import Region
 from skylight.faces._observe import SKIN_SPECULAR
 from skylight.imaging._edits import UNEDITED, Edit
-from skylight.portrait._gain import BRIGHTER, DARKER, TINTED, blown_out, bounded, soft_matte
+from skylight.portrait._gain import BRIGHTER, DARKER, TINTED, bounded, soft_matte
 from skylight.portrait._relit import MOST_SPECULAR, Keep, Portrait, shared_light, upright_irradiance
 from skylight.portrait._surface import BUST, PersonSurface, Shading, scaled, softened
 from skylight.sphere._envmap import LUMINANCE, EnvironmentMap
@@ -376,15 +376,3 @@ def test_an_edited_photograph_is_relit_as_the_scene_is_and_edited() -> None:
     assert np.abs(scene - want)[shows].mean() < 0.01 * want[shows].mean()
     same, _ = portrait(found, seen, edit=edit).under(found)
     np.testing.assert_allclose(same, seen, atol=1e-5)
-
-
-def test_over_exposed_cloth_stays_and_skin_and_single_white_pixels_do_not() -> None:
-    photo = np.full((60, 90, 3), 0.5, np.float32)
-    photo[:, 45:] = 1.0
-    photo[10, 10] = 1.0
-    skin = np.zeros((60, 90), np.float32)
-    kept = blown_out(photo, skin, 40.0)
-    assert kept[:, 60:].min() > 0.99
-    assert kept[:, :40].max() < 1e-3
-    skin[:, 60:] = 1.0
-    assert blown_out(photo, skin, 40.0)[:, 60:].max() == 0.0
