@@ -79,7 +79,7 @@ def relight_portrait(
     Args:
         photo: Picture of a face: JPEG, PNG, TIFF, HEIC, EXR, Radiance HDR or RAW; or a folder of
             an estimate, of estimates, or of pictures.
-        key: One key light over a dim fill of the light found: from the left or right of whoever
+        key: One key light over a dim, even fill: from the left or right of whoever
             looks at the picture, from the top, from behind (rim), from the front; or all of these.
         angle: A key light at AZ,EL: degrees from the camera towards the viewer's right (180 is
             behind the sitter), and above the camera. May be given several times.

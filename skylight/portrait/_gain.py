@@ -229,6 +229,8 @@ def _unseen_colour(
     shown = np.log(shown / (shown @ _LUMINANCE)[..., None])
     skin = plain > 0
     slopes = np.array([_slope(colour[skin][:, k], shown[skin][:, k]) for k in range(3)], np.float32)
+    # where no skin shows the colour of light, as on cloth of any colour, nothing tells that it was
+    # there: taken away, it would turn white cream
     bare = blurred(on.bare[..., None], on.covered, TINT * on.face_px)
     hidden = (1 - slopes * bare) * (colour - colour[skin].mean(0))
     mean = np.log(small[skin].mean(0) / (small[skin].mean(0) @ _LUMINANCE))

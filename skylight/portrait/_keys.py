@@ -72,11 +72,10 @@ def brightness_of_ball(light: EnvironmentMap) -> float:
     return float(weights @ luminance(light.flat).double())
 
 
-def fill_of(found: FoundLight) -> EnvironmentMap:
-    """R of the module's text, in the photograph's colours and units."""
-    whole = light_in_photo(found)
-    even = (whole.integrate() / (4 * math.pi)).to(whole.radiance)
-    return EnvironmentMap(radiance=even.expand(whole.radiance.shape).clone())
+def fill_of(found: EnvironmentMap) -> EnvironmentMap:
+    """R of the module's text, of the light found in the photograph's colours and units."""
+    even = (found.integrate() / (4 * math.pi)).to(found.radiance)
+    return EnvironmentMap(radiance=even.expand(found.radiance.shape).clone())
 
 
 def key_light(
@@ -86,7 +85,7 @@ def key_light(
     size_deg: float = USUAL_DEG,
     strength: float = KEY_OVER_FILL,
 ) -> NewLight:
-    """A key light over a dim fill of the light found: the module's text.
+    """A key light over a dim, even fill: the module's text.
 
     Parameters
     ----------
@@ -105,7 +104,8 @@ def key_light(
     """
     azimuth_deg, elevation_deg = KEYS[key] if isinstance(key, str) else key
     check_key(azimuth_deg, elevation_deg, size_deg, strength)
-    fill, whole = fill_of(found), light_in_photo(found)
+    whole = light_in_photo(found)
+    fill = fill_of(whole)
     level, towards = brightness_of_ball(fill), direction_seen(azimuth_deg, elevation_deg)
     dimmed = brightness_of_ball(whole) / (level * (1 + strength * float(ball_weights(towards))))
     colour = whole.integrate().double()

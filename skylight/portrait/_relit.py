@@ -141,7 +141,6 @@ class Portrait:
         plain = np.isin(regions, PLAIN) & on_skin
         hidden = unseen(picture, before, exact, float32(plain) if plain.any() else on.bare, on)
         head = float32((regions >= 0) & (regions != BUST))
-        matte = soft_matte(picture, float32(matte), head, person.face_px)
         doubts = _doubts(small[on_skin], found, hidden)
         return Portrait(
             photo=float32(photo.numpy()),
@@ -152,7 +151,7 @@ class Portrait:
             specular_scale=most * specular_scale,
             grey=grey,
             albedo=albedo,
-            matte=matte,
+            matte=soft_matte(picture, float32(matte), head, person.face_px),
             shading=shading,
             specular=specular,
             on=on,

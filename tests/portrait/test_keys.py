@@ -80,7 +80,7 @@ def test_brightness_stays_and_the_key_is_so_much_brighter_than_the_fill(strength
     whole = brightness_of_ball(light_in_photo(found))
     assert brightness_of_ball(light) == pytest.approx(whole, rel=5e-3)
     # what faces the key receives it beside what the fill sends there
-    fill = fill_of(found)
+    fill = fill_of(light_in_photo(found))
     share = whole / brightness_of_ball(fill) / (1 + strength * float(ball_weights(metered())))
     towards = metered().float()
     key = luminance(light.irradiance(towards)) - share * luminance(fill.irradiance(towards))
@@ -125,7 +125,7 @@ def test_a_key_is_as_wide_as_a_disc_of_that_diameter(size_deg: float) -> None:
 def test_the_fill_is_even_and_of_the_colour_of_all_light() -> None:
     sun = torch.tensor([2.0, 1.8, 1.5])
     found = with_light(even().with_light(direction(40.0, 50.0), sun))
-    fill = fill_of(found)
+    fill = fill_of(light_in_photo(found))
     torch.testing.assert_close(fill.flat, fill.flat[:1].expand(fill.flat.shape))
     torch.testing.assert_close(
         fill.integrate(), light_in_photo(found).integrate(), rtol=1e-4, atol=0

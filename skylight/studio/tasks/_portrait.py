@@ -87,7 +87,7 @@ def keep_person(folder: Path, result: PhotoEstimate, command: dict[str, Any]) ->
 
 FILE = "portrait.safetensors"
 PIXELS = 1280 * 720  # of the picture
-_MAP_ROWS = 64  # of the rest of the light, to be looked at
+_MAP_ROWS = 64  # of the light found, to be looked at
 _UNSEEN = 1.5  # logarithm, the largest that is sent
 _MARGIN = 46  # of the part of the shading that is sent, in its pixels: as far as it is blurred
 
@@ -128,7 +128,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     whose c and B are ``colour`` and ``fill``; ``ball`` is how bright the light found makes the
     ball.
     """
-    surface, rest = portrait.person.surface, fill_of(face)
+    surface, rest = portrait.person.surface, fill_of(portrait.found)
     rest_shading, rest_specular = portrait.shaded_by(rest)
     rows, columns = np.nonzero(portrait.on.covered)  # row by row, as the surface has them
     left, top, width, height = _crop(portrait)
