@@ -1,16 +1,8 @@
 """Observations under one light -> lamps in ambient light, as many as the pictures tell of.
 
 Eq. 5.8 is minimised for no lamp, one, two and three, as long as one more pays
-(:class:`LampsProblem`, :func:`as_many_as_pay`). Where so many lamps could be is told beforehand by
-a non-negative least-squares problem for each set of directions (:class:`Pursuit`). There
-the face's luminance is explained by lamps in the directions of a set S and by light that is even
-above the horizon and even below it, all non-negative::
-
-    min_{a, b >= 0}  sum_p w_p (y_p - sum_{d in S} a_d T[p, d] - b_1 U[p] - b_2 L[p])^2
-
-Sets grow as in matching pursuit, but :data:`BEAM` of the best are kept, not one: of two lamps that
-are alike, the best single lamp is neither. Where ambient light may be anything, as in
-:mod:`skylight.inverse._scan`, it takes a lamp's place.
+(:class:`LampsProblem`, :func:`as_many_as_pay`). Where so many lamps could be is told
+beforehand by a pursuit (:mod:`skylight.inverse._lamp_sets`).
 """
 
 import math
@@ -20,23 +12,23 @@ from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from skylight._module import Module
 from skylight.inverse._descent import Iterates, Stage, choose_starts, descend
 from skylight.inverse._faces import Level, LitFaces, ObjectiveWeights, ScannedFace
 from skylight.inverse._lamp_relighting import lamps_radiance
-from skylight.inverse._least_squares import nnls
+from skylight.inverse._lamp_sets import Pursuit
 from skylight.inverse._objective import LightObjective
 from skylight.inverse._posterior import credible, face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
 from skylight.inverse._result import MAP_ROWS, SUN_SPREAD_RAD, Estimate, Lamp
-from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
+from skylight.inverse._scan import SCAN_HEIGHT, FaceScan, SunScan, scan_faces
 from skylight.inverse._scores import CAP_RAD, find_lamps
 from skylight.inverse._sky import SkySolver, SolverOptions
 from skylight.inverse._solution import Solutions, estimate_of, face_lights, log_evidence
-from skylight.inverse._sun_prior import SunPrior
+from skylight.inverse._sun_prior import SunPrior, found_light
 from skylight.models._base import Prior, without_azimuth
 from skylight.models._ground import KnownGround
 from skylight.models._lamps import LampsLight, LampsPrior
@@ -44,120 +36,10 @@ from skylight.models._lobes import LampedLight
 from skylight.models._prior import GaussianMixture
 from skylight.models._sphere import SpherePrior
 from skylight.sphere._envmap import EnvironmentMap, luminance
-from skylight.sphere._frame import DirectionGrid
 from skylight.transport._observation import Observation
 from skylight.work._progress import Progress
 
-ROWS = 16
-BEAM = 48
-APART_RAD = math.radians(20.0)
-ENERGIES = 0.05, 4.0  # of a lamp against the ambient light, to start from
 NARROW_RAD = math.radians(4.0)  # of a lamp: faces cannot tell it from a sun
-
-
-@dataclass(frozen=True, kw_only=True)
-class LampSets:
-    """The best sets of k lamps: unit ``directions`` (s,k,3), and ``energies`` (s,k) relative to
-    the ambient light's as :mod:`skylight.models._lamps` has them, means over the faces."""
-
-    directions: Float[Tensor, "s k 3"]
-    energies: Float[Tensor, "s k"]
-
-
-class Pursuit:
-    """Sets of lamps of growing size that explain some faces under one light.
-
-    The faces may have any albedos and exposures; their energies that are left add up, each
-    relative to the face's own.
-    """
-
-    def __init__(self, observations: Sequence[Observation]) -> None:
-        self.grid = DirectionGrid.latlong(ROWS)
-        self.faces = [_Gram.of(one) for one in observations]
-        every = torch.arange(len(self.grid), device=self.faces[0].gram.device)[:, None]
-        self.sets, self.left = every, self._left(every)
-
-    def _left(self, sets: Int[Tensor, "s k"]) -> Float[Tensor, " s"]:
-        return torch.stack([face.left(sets) for face in self.faces]).sum(0)
-
-    def grow(self) -> None:
-        """One lamp more in each of the best sets."""
-        best, count = self.sets[self.left.argsort()[:BEAM]], len(self.grid)
-        more = torch.arange(count, device=best.device).repeat(len(best))
-        grown = torch.cat([best.repeat_interleave(count, 0), more[:, None]], 1).sort(1).values
-        grown = grown[(grown[:, 1:] > grown[:, :-1]).all(1)]
-        self.sets = grown.unique(dim=0)
-        self.left = self._left(self.sets)
-
-    def best(self, count: int) -> LampSets:
-        """So many of the best sets, a lamp of each :data:`APART_RAD` from all of a better one."""
-        directions = self.grid.directions.to(self.left)
-        chosen: list[Int[Tensor, " k"]] = []
-        for candidate in self.sets[self.left.argsort()[: 50 * count]]:
-            towards = directions[candidate]
-            nearest = [(towards @ directions[one].T).amax(1).min() for one in chosen]
-            if all(float(cosine) < math.cos(APART_RAD) for cosine in nearest):
-                chosen.append(candidate)
-            if len(chosen) == count:
-                break
-        sets = torch.stack(chosen)
-        energies = torch.stack([face.energies(sets) for face in self.faces]).mean(0)
-        return LampSets(directions=directions[sets], energies=energies.clamp(*ENERGIES))
-
-    def starts(self, model: LampedLight, count: int) -> Float[Tensor, "s c p"]:
-        """Parameters to start from: in each of so many of the best sets of the model's number."""
-        if model.count == 0:
-            return model.starts().unflatten(0, (-1, len(model.ambient_starts())))
-        while self.sets.shape[1] < model.count:
-            self.grow()
-        sets = self.best(count)
-        return model.starts_at(sets.directions, sets.energies)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Gram:
-    """Products of the columns of one face's problem; the last two are ambient."""
-
-    gram: Float[Tensor, "n n"]
-    right: Float[Tensor, " n"]
-    power: float
-    solid_angles: Float[Tensor, " d"]
-
-    @staticmethod
-    def of(observation: Observation) -> "_Gram":
-        root = observation.weights.double().sqrt()
-        coarse = observation.on_rows(ROWS).transport
-        matrix = coarse.matrix.double() * root[:, None]
-        upper = len(coarse.grid) // 2
-        both = matrix[:, :upper].sum(1), matrix[:, upper:].sum(1)
-        columns = torch.cat([matrix, torch.stack(both, 1)], 1)
-        y = luminance(observation.pixels).double() * root
-        return _Gram(
-            gram=columns.T @ columns,
-            right=columns.T @ y,
-            power=float(y @ y),
-            solid_angles=coarse.grid.solid_angles.to(y),
-        )
-
-    def solution(self, sets: Int[Tensor, "s k"]) -> tuple[Tensor, Tensor]:
-        """(radiance of each set's lamps and of the ambient light; their right sides)."""
-        count = len(self.right)
-        ambient = torch.tensor([count - 2, count - 1], device=sets.device).expand(len(sets), 2)
-        chosen = torch.cat([sets, ambient], 1)
-        right = self.right[chosen]
-        return nnls(self.gram[chosen[:, :, None], chosen[:, None]], right), right
-
-    def left(self, sets: Int[Tensor, "s k"]) -> Float[Tensor, " s"]:
-        """The share of y^2 that each set leaves."""
-        x, right = self.solution(sets)
-        return 1 - (x * right).sum(1) / self.power
-
-    def energies(self, sets: Int[Tensor, "s k"]) -> Float[Tensor, "s k"]:
-        """The lamps' light over the ambient light."""
-        x, _ = self.solution(sets)
-        ambient = 0.5 * x[:, -2:].sum(1, keepdim=True)
-        received = x[:, :-2] * self.solid_angles[sets] / (4 * math.pi)
-        return received / ambient.clamp(min=1e-9 * float(x.max()))
 
 
 MOST_LAMPS = 3
@@ -290,7 +172,8 @@ class LampFamily:
     ``least_gain``, ``patience`` and ``most`` are those of :func:`as_many_as_pay`. Where ``smooth``
     light may be as uneven as lamps are, a main light may be seen though there is no lamp.
     ``apart`` makes groups of candidates (s,c,p) that are searched each by itself: the likeliest of
-    what they lead to is chosen.
+    what they lead to is chosen. The ``guide``, simpler light, is searched first, and its main lamp
+    tells where this family's is looked for (:func:`~skylight.inverse._sun_prior.found_light`).
     """
 
     light: Callable[[int], LampedLight]
@@ -300,6 +183,7 @@ class LampFamily:
     most: int = MOST_LAMPS
     smooth: bool = False
     apart: Callable[[Tensor], Sequence[Tensor]] = lambda candidates: [candidates]
+    guide: "LampFamily | None" = None
 
 
 LAMPS = LampFamily(light=LampsLight, prior=LampsPrior)
@@ -344,11 +228,12 @@ class LampsProblem(LightProblem):
         problem.faces = LitFaces(self.faces.sun_prior)
         return problem
 
-    def with_lamps(self, count: int) -> SkySolver:
+    def with_lamps(self, count: int, family: LampFamily | None = None) -> SkySolver:
         """The model of so many lamps with its priors, for those who know how many there are."""
-        device, prior = self.albedo_modes.device, self.family.prior(count)
+        family = family or self.family
+        device, prior = self.albedo_modes.device, family.prior(count)
         return SkySolver(
-            model=self.family.light(count).on_rows(SCAN_HEIGHT).to(device),
+            model=family.light(count).on_rows(SCAN_HEIGHT).to(device),
             light_prior=prior.to(device) if isinstance(prior, Module) else prior,
             albedo_prior=self.albedo_prior,
             albedo_modes=self.albedo_modes,
@@ -390,52 +275,12 @@ class LampsProblem(LightProblem):
         options, observed = self.options, [face.scanned for face in self.faces]
         every = scan_faces(observed, sphere=True)
         evidence = sun_evidence(face_evidence(observed, every, sphere=True))
-        clock = credible(evidence, self.faces.sun_prior)
-        scan = SunScan.of(every, candidates=options.scan_candidates, sun_prior=clock)
         pursuit = Pursuit(observed)
-
-        def fitted(count: int) -> Fitted[Iterates]:
-            solver = self.with_lamps(count)
-            objective = self._objective(solver, options.coarse[0], clock)
-            model = objective.model
-            assert isinstance(model, LampedLight)
-            towards = pursuit.starts(model, options.sets)
-            if count == 1:
-                tried = [scan.candidates, *([] if self.towards is None else [self.towards])]
-                scanned = [model.starts_towards(each).to(towards) for each in tried]
-                towards = torch.cat([towards, *scanned])
-            turns = model.azimuth_index is not None  # to where the sets are, as starts are not
-            groups = [
-                Iterates.starting(
-                    *choose_starts(objective, some, self.albedo_modes, centroids=not turns)
-                )
-                for some in self.family.apart(towards)
-            ]
-            for stage in options.coarse:
-                objective = self._objective(solver, stage)
-                ends = descend(objective, groups, stage, options.tolerance)
-                told = [_sun_log_density(objective, one, clock) for one in ends]
-                best = [(one.scores - t).argmin() for one, t in zip(ends, told, strict=True)]
-                drawn = [
-                    replace(one, scores=one.scores - options.weights.sun_prior * t)
-                    for one, t in zip(ends, told, strict=True)
-                ]
-                # what the evidence is that of goes on too
-                groups = [
-                    replace(one, scores=one.scores.index_fill(0, at, one.scores.min()))
-                    for one, at in zip(drawn, best, strict=True)
-                ]
-            minima = [one.free[at] for one, at in zip(drawn, best, strict=True)]
-            nats = log_evidence(objective, torch.stack(minima))
-            nats = nats + torch.stack([t[at] for t, at in zip(told, best, strict=True)])
-            likeliest = int(nats.argmax())
-            return Fitted(count=count, point=drawn[likeliest], log_evidence=float(nats[likeliest]))
-
-        if self.exactly is None:
-            family = self.family
-            best = as_many_as_pay(fitted, family.least_gain, family.patience, family.most)
-        else:
-            best = fitted(self.exactly)
+        clock = credible(evidence, self.faces.sun_prior)
+        if clock is None and self.family.guide is not None:
+            clock = self._told_by(self.family.guide, pursuit, every)
+        scan = SunScan.of(every, candidates=options.scan_candidates, sun_prior=clock)
+        best = self._searched(self.family, pursuit, scan, clock)
         solver, points = self.with_lamps(best.count), best.point
         for number, stage in enumerate(options.fine, start=1):
             objective = self._objective(solver, stage, clock)
@@ -468,6 +313,66 @@ class LampsProblem(LightProblem):
             seen=None if self.family.smooth else bool(lamps),
             kinds=kinds,
         )
+
+    def _told_by(
+        self, guide: LampFamily, pursuit: Pursuit, every: Sequence[FaceScan]
+    ) -> SunPrior | None:
+        """Where the main lamp is in the light of the guide; None where that has no lamp."""
+        scan = SunScan.of(every, candidates=self.options.scan_candidates)
+        best = self._searched(guide, pursuit, scan, None)
+        light = guide.light(best.count)
+        free = best.point.free[best.point.scores.argmin()]
+        found = light.lamps(light.from_free(free[: light.parameter_count].cpu()))
+        if not best.count:
+            return None
+        return found_light(found.directions[int(found.energies.argmax())].double())
+
+    def _searched(
+        self, family: LampFamily, pursuit: Pursuit, scan: SunScan, clock: SunPrior | None
+    ) -> Fitted[Iterates]:
+        """As many lamps as pay, or exactly so many of the problem's own family, coarsely."""
+        options = self.options
+
+        def fitted(count: int) -> Fitted[Iterates]:
+            solver = self.with_lamps(count, family)
+            objective = self._objective(solver, options.coarse[0], clock)
+            model = objective.model
+            assert isinstance(model, LampedLight)
+            towards = pursuit.starts(model, options.sets)
+            if count == 1:
+                tried = [scan.candidates, *([] if self.towards is None else [self.towards])]
+                scanned = [model.starts_towards(each).to(towards) for each in tried]
+                towards = torch.cat([towards, *scanned])
+            turns = model.azimuth_index is not None  # to where the sets are, as starts are not
+            groups = [
+                Iterates.starting(
+                    *choose_starts(objective, some, self.albedo_modes, centroids=not turns)
+                )
+                for some in family.apart(towards)
+            ]
+            for stage in options.coarse:
+                objective = self._objective(solver, stage)
+                ends = descend(objective, groups, stage, options.tolerance)
+                told = [_sun_log_density(objective, one, clock) for one in ends]
+                best = [(one.scores - t).argmin() for one, t in zip(ends, told, strict=True)]
+                drawn = [
+                    replace(one, scores=one.scores - options.weights.sun_prior * t)
+                    for one, t in zip(ends, told, strict=True)
+                ]
+                # what the evidence is that of goes on too
+                groups = [
+                    replace(one, scores=one.scores.index_fill(0, at, one.scores.min()))
+                    for one, at in zip(drawn, best, strict=True)
+                ]
+            minima = [one.free[at] for one, at in zip(drawn, best, strict=True)]
+            nats = log_evidence(objective, torch.stack(minima))
+            nats = nats + torch.stack([t[at] for t, at in zip(told, best, strict=True)])
+            likeliest = int(nats.argmax())
+            return Fitted(count=count, point=drawn[likeliest], log_evidence=float(nats[likeliest]))
+
+        if self.exactly is not None and family is self.family:
+            return fitted(self.exactly)
+        return as_many_as_pay(fitted, family.least_gain, family.patience, family.most)
 
     def _main_light(
         self, environment: EnvironmentMap, lamps: Sequence[Lamp]

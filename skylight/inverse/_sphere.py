@@ -17,7 +17,7 @@ from skylight._names import Place
 from skylight.inverse._auto import open_sky_log_odds
 from skylight.inverse._descent import Stage
 from skylight.inverse._faces import Level
-from skylight.inverse._lamps import LampFamily, LampsOptions, LampsProblem
+from skylight.inverse._lamps import LAMPS, LampFamily, LampsOptions, LampsProblem
 from skylight.inverse._sun_prior import SunPrior
 from skylight.inverse._verdict import CAMERA
 from skylight.models._ground import KnownGround
@@ -77,6 +77,7 @@ def sphere_problem(
             patience=2,
             smooth=True,
             apart=partial(_by_sky, places, of_these),
+            guide=LAMPS,
         )
 
     by_day = replace(family(known | dict.fromkeys(NOT_BY_DAY, -math.inf)), most=1)  # the sun

@@ -33,10 +33,12 @@ from torch import Tensor
 
 from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.skies._sun import Place, sun_angles
+from skylight.sphere._frame import angles_from_direction
 
 FLOOR = 0.1
 TILT_RAD = math.radians(6.0)  # of hand-held cameras per axis, fitted heads' error included
 TROPIC_DEG = 23.44  # between the tropics clocks are not changed for the summer
+ASIDE_RAD = math.radians(3.0)  # of a light found in simpler light, along its azimuth, besides
 _NODES = 256  # of the quadrature; a lobe of 6 degrees is 25 of them wide
 
 
@@ -166,6 +168,16 @@ def sun_prior(taken: CaptureMetadata) -> tuple[SunPrior | None, tuple[str, ...]]
     if taken.time.tzinfo is None:
         return prior, ("the time has no time zone: those usual at its longitude were tried",)
     return prior, ()
+
+
+def found_light(direction: Float[Tensor, "3"]) -> SunPrior:
+    """Of a main light that was found there by other means, wherever that place is.
+
+    It is :data:`TILT_RAD` off per axis, and a share of :data:`FLOOR` is uniform.
+    """
+    azimuth, zenith = (float(angle) for angle in angles_from_direction(direction))
+    part = SunPart(share=1.0, zenith_rad=zenith, azimuth_rad=azimuth, turn=ASIDE_RAD**-2)
+    return SunPrior(parts=(part,), sphere=True)
 
 
 def zone_offsets(place: Place, month: int) -> dict[int, float]:

@@ -19,7 +19,8 @@ from torch import Tensor
 
 from skylight.inverse._faces import ObjectiveWeights
 from skylight.inverse._gauss_newton import minimise_robust
-from skylight.inverse._lamps import MOST_LAMPS, Fitted, Pursuit, as_many_as_pay, in_pictures_units
+from skylight.inverse._lamp_sets import Pursuit
+from skylight.inverse._lamps import MOST_LAMPS, Fitted, as_many_as_pay, in_pictures_units
 from skylight.inverse._least_squares import hessian_at, laplace
 from skylight.inverse._result import Lamp
 from skylight.models._lamps import LampsLight, LampsPrior
@@ -60,7 +61,7 @@ def lamps_of_objects(
     """No lamp in ambient light, then one more as long as that is likelier, up to three.
 
     Each number starts from the sets that explain the picture best
-    (:class:`~skylight.inverse._lamps.Pursuit`) and is fitted to the ``coarse`` observation,
+    (:class:`~skylight.inverse._lamp_sets.Pursuit`) and is fitted to the ``coarse`` observation,
     where numbers compete as for faces; the best is then fitted to all of the ``observation``.
     """
     mean = coarse.mean_luminance

@@ -6,7 +6,7 @@ from itertools import combinations
 import torch
 from scipy.optimize import nnls as scipy_nnls
 
-from skylight.inverse._lamps import ROWS, Pursuit
+from skylight.inverse._lamp_sets import ROWS, Pursuit
 from skylight.sphere._envmap import luminance
 from tests.inverse.test_lamps import lit_ball
 

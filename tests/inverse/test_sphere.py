@@ -7,7 +7,10 @@ import pytest
 import torch
 
 from skylight.inverse._estimate import estimate_light, light_problems
-from skylight.inverse._lamps import Fitted, LampsProblem, as_many_as_pay
+from skylight.inverse._lamp_sets import Pursuit
+from skylight.inverse._lamps import LAMPS, Fitted, LampsProblem, as_many_as_pay
+from skylight.inverse._problem import solve
+from skylight.inverse._scan import scan_faces
 from skylight.inverse._sphere import INDOORS, OPEN_SKY, _by_sky
 from skylight.inverse._sun_prior import SunPart, SunPrior
 from skylight.models._sphere import SphereLight, SpherePrior
@@ -56,6 +59,38 @@ def test_the_lamp_of_a_ball_is_found_and_told_of_which_kind_the_place_is() -> No
     assert list(found.kinds.values()) == sorted(found.kinds.values(), reverse=True)
     # what the ball shows, the light explains
     assert found.faces[0].residual < 0.05
+
+
+def told_by_even_light(*lamps: tuple[tuple[float, float, float], float]) -> SunPrior | None:
+    """What lamps in even light tell of a ball's main light."""
+    (problem,) = light_problems("sphere", device="cpu")
+    assert isinstance(problem, LampsProblem)
+    problem.add(lit_ball(*lamps))
+    observed = [face.scanned for face in problem.faces]
+    return problem._told_by(LAMPS, Pursuit(observed), scan_faces(observed, sphere=True))
+
+
+def test_lamps_in_even_light_tell_where_the_main_one_is() -> None:
+    told = told_by_even_light((ONE, 3.0), ((-0.7, 0.5, 0.6), 1.0))
+    assert told is not None
+    grid = DirectionGrid.latlong(64)
+    density = told.log_density(grid.directions)
+    assert float(density.exp() @ grid.solid_angles) == pytest.approx(1, abs=3e-3)
+    lamp = torch.nn.functional.normalize(torch.tensor(ONE, dtype=torch.float64), dim=0)
+    assert math.degrees(float(angle_between(grid.directions[density.argmax()], lamp))) < 6
+
+
+def test_even_light_tells_nothing_and_leaves_the_estimate_as_it_is() -> None:
+    assert told_by_even_light() is None
+    found = []
+    for guide in (None, LAMPS):
+        (problem,) = light_problems("sphere", device="cpu")
+        assert isinstance(problem, LampsProblem)
+        problem.family = replace(problem.family, guide=guide)
+        problem.add(lit_ball())
+        found += solve([problem])
+    alone, guided = found
+    torch.testing.assert_close(alone.params, guided.params, rtol=0, atol=0)
 
 
 def test_the_pictures_exposure_turns_the_odds_of_open_sky() -> None:
