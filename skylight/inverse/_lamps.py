@@ -264,6 +264,11 @@ class LampsProblem(LightProblem):
         by :func:`~skylight.inverse._solution.log_evidence`: one more is to bring
         :data:`LEAST_GAIN`.
 
+        Where the family has a guide, and no clock tells, that is searched first. Smooth light of
+        many latents takes over a part of a lamp, which pulls that 5 to 30 degrees aside on real
+        faces, at no higher residuals; even light cannot. What the guide tells counts as a clock
+        does, but not in the posterior, whose scan is of the same pixels.
+
         What clock and place tell of the sun counts unless the faces contradict it, as of skies. One
         lamp is looked for where they say too, they choose between lights that explain the faces,
         and draw the sun's lamp in the end. Not before: what a face is explained less well by a lamp

@@ -1,7 +1,8 @@
 """Observations under light from all round, of any place: smooth light and up to three lamps.
 
 As lamps in ambient light (:mod:`skylight.inverse._lamps`), with the light model that knows places
-(:mod:`skylight.models._sphere`).
+(:mod:`skylight.models._sphere`), after lamps in nearly even light, which tell where the main one
+is.
 """
 
 import math
