@@ -5,7 +5,8 @@
 ``FOLDER`` holds the photographs of :data:`SHOWN` and :data:`FAILED`, and an index.json that tells
 each one's source and licence. Writes a strip for each into ``docs/images/gallery`` and the page
 ``docs/gallery.md``. A strip that is there already is not drawn again; the page is written anew.
-With the strip of :data:`COVER` goes ``docs/images/cover.jpg``, its first pictures, for the README.
+With the strips of :data:`COVER` and :data:`RELIT` go ``cover.jpg``, the first pictures of one, and
+``relit.jpg``, the photograph and the key lights of the other, for the README and for other pages.
 """
 
 import json
@@ -62,7 +63,7 @@ FAILED = {
     "inter050.jpg": "Glasses and a beard cast shadows that the head does not have, and the dark "
     "shape below the nose stays when its light has gone to the other side.",
 }
-COVER = "inter001.jpg"
+COVER, RELIT = "inter001.jpg", "inter041.jpg"
 HEIGHT, COVER_HEIGHT = 300, 480
 SHARE = 0.2  # of the samples of light in objects, whose noise is not seen at that height
 COLUMNS = (
@@ -120,7 +121,9 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
         pictures.append(shown(relit_portrait(face, light, keep=keep, portrait=portrait)))
     _write_row(pictures, strip, HEIGHT)
     if strip.name == COVER:
-        _write_row(pictures[:3], strip.parents[1] / "cover.jpg", COVER_HEIGHT)
+        _write_row(pictures[:3], strip.with_name("cover.jpg"), COVER_HEIGHT)
+    if strip.name == RELIT:
+        _write_row([pictures[0], *pictures[3:6]], strip.with_name("relit.jpg"), HEIGHT)
     azimuth, zenith = angles_deg(estimate.sun_direction)
     return {
         "columns": len(COLUMNS),
