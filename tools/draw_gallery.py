@@ -5,6 +5,8 @@
 ``FOLDER`` holds the photographs of :data:`SHOWN` and :data:`FAILED`, and an index.json that tells
 each one's source and licence. Writes a strip for each into ``docs/images/gallery`` and the page
 ``docs/gallery.md``. A strip that is there already is not drawn again; the page is written anew.
+With the strips of :data:`COVER` and :data:`RELIT` go ``cover.jpg``, the first pictures of one, and
+``relit.jpg``, the photograph and the key lights of the other, for the README and for other pages.
 """
 
 import json
@@ -61,12 +63,13 @@ FAILED = {
     "inter050.jpg": "Glasses and a beard cast shadows that the head does not have, and the dark "
     "shape below the nose stays when its light has gone to the other side.",
 }
-HEIGHT = 300
+COVER, RELIT = "inter001.jpg", "inter041.jpg"
+HEIGHT, COVER_HEIGHT = 300, 480
 SHARE = 0.2  # of the samples of light in objects, whose noise is not seen at that height
 COLUMNS = (
     "the photograph",
     "the light found, and objects in it",
-    "what the page of `skylight export viewer` puts into the picture",
+    "objects put into the picture by `skylight export viewer`",
     "with `--key left`",
     "with `--key right`",
     "with `--key top --soft`",
@@ -116,9 +119,11 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
     portrait = taken_apart(face)
     for light, keep in lights:
         pictures.append(shown(relit_portrait(face, light, keep=keep, portrait=portrait)))
-    row = np.hstack([_sized(picture) for picture in pictures])
-    with atomic_path(strip) as temporary:
-        Image.fromarray(row).save(temporary, format="JPEG", quality=85)
+    _write_row(pictures, strip, HEIGHT)
+    if strip.name == COVER:
+        _write_row(pictures[:3], strip.with_name("cover.jpg"), COVER_HEIGHT)
+    if strip.name == RELIT:
+        _write_row([pictures[0], *pictures[3:6]], strip.with_name("relit.jpg"), HEIGHT)
     azimuth, zenith = angles_deg(estimate.sun_direction)
     return {
         "columns": len(COLUMNS),
@@ -151,28 +156,33 @@ def _objects(result: PhotoEstimate, photo: Path) -> UInt8[ndarray, "h w 3"]:
             return finished(page, SHARE)[..., :3].astype(np.uint8)
 
 
-def _sized(picture: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "k l 3"]:
-    width = round(picture.shape[1] * HEIGHT / picture.shape[0])
-    return cv2.resize(picture, (width, HEIGHT), interpolation=cv2.INTER_AREA)
+def _write_row(pictures: list[UInt8[ndarray, "h w 3"]], path: Path, height: int) -> None:
+    row = np.hstack([_sized(picture, height) for picture in pictures])
+    with atomic_path(path) as temporary:
+        Image.fromarray(row).save(temporary, format="JPEG", quality=85)
+
+
+def _sized(picture: UInt8[ndarray, "h w 3"], height: int) -> UInt8[ndarray, "height w 3"]:
+    width = round(picture.shape[1] * height / picture.shape[0])
+    how = cv2.INTER_AREA if height < picture.shape[0] else cv2.INTER_CUBIC
+    return cv2.resize(picture, (width, height), interpolation=how)
 
 
 def _page(told: dict[str, dict], sources: dict[str, dict], map_name: str) -> str:
     lines = [
         "# Gallery",
         "",
-        "Photographs of people whom skylight has never seen, the light that it found in each, "
-        "and the same portraits [in other light](portraits.md). They were chosen "
-        "for their kinds of light, those at the end for how they fail; nothing was "
-        "retouched, and where a verdict says *unknown* or *unreliable*, believe it. From left to "
-        "right: " + "; ".join(COLUMNS) + f" (`{map_name}`).",
-        "",
-        "`python -m tools.draw_gallery --photos FOLDER --map MAP` draws all of it.",
+        "Photographs that skylight had never seen, the light that it found in each, and the "
+        "portraits [relit](portraits.md). They were chosen for their kinds of light, those at the "
+        "end for how they fail; nothing was retouched. Where a verdict says *unknown* or "
+        "*unreliable*, believe it. From left to right: " + "; ".join(COLUMNS) + f" (`{map_name}`).",
     ]
     for name in SHOWN:
         lines += ["", *_entry(name, told[name], sources[name])]
     lines += ["", "## Where it fails"]
     for name, why in FAILED.items():
         lines += ["", *_entry(name, told[name], sources[name]), "", why]
+    lines += ["", "`python -m tools.draw_gallery --photos FOLDER --map MAP` draws this page."]
     return "\n".join(lines) + "\n"
 
 
@@ -181,7 +191,7 @@ def _entry(name: str, facts: dict, source: dict) -> list[str]:
     height = facts["elevation_deg"]
     light = f"{facts['light']}: {facts['verdict']}; brightest {side}, {height:.0f}° high"
     credit = f"[source]({source['original']}), CC0" if source["original"] else "public domain"
-    alt = "a portrait, its light, objects in the picture, and the portrait in four other lights"
+    alt = "portrait, light, objects, relit portraits"
     notes = "".join(f" In other light: {note}." for note in facts["notes"])
     return [f"![{alt}](images/gallery/{name})", "", f"{light}.{notes} Photograph: {credit}."]
 
