@@ -111,7 +111,7 @@ def _monic_bands(directions: Float[Tensor, "n 3"], degree: int) -> Iterator[Floa
     for inner in _recursion(degree, directions.dtype, directions.device)[0][1:]:
         power = x * power + minus_y * power.flip(0)
         larger = torch.cat([power[:1], double * band, power[1:]])
-        larger[2:-2].addcmul_(inner, older, value=-1)
+        larger[2:-2].sub_(inner * older)
         older, band = band, larger
         yield band
 
