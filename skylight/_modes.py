@@ -40,7 +40,8 @@ def on_cpu(function: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(function)
     def inner(*args: P.args, **kwargs: P.kwargs) -> T:
-        if torch.compiler.is_compiling():  # which knows no device as a context
+        # compilers know no device as a context, and each call of torch's within one costs a call
+        if torch.compiler.is_compiling() or torch.get_default_device().type == "cpu":
             return function(*args, **kwargs)
         with torch.device("cpu"):
             return function(*args, **kwargs)

@@ -81,6 +81,25 @@ def test_gradients_are_right_and_finite_at_the_poles() -> None:
     assert torch.autograd.gradcheck(lambda d: harmonics.evaluate(d, 4), points)
 
 
+def test_values_in_blocks_are_those_that_gradients_flow_through() -> None:
+    """More directions than are evaluated together, and a last block that is shorter."""
+    points = DirectionGrid.hammersley(2500).directions
+    plain = harmonics.evaluate(points, 20)
+    followed = harmonics.evaluate(points.clone().requires_grad_(), 20)
+    torch.testing.assert_close(followed.detach(), plain, rtol=0, atol=1e-14)
+    vmapped = torch.func.vmap(lambda p: harmonics.evaluate(p, 20))(points.reshape(5, 500, 3))
+    torch.testing.assert_close(vmapped.flatten(0, 1), plain, rtol=0, atol=1e-14)
+    assert harmonics.evaluate(points[:0], 3).shape == (0, 16)
+
+
+@pytest.mark.parametrize(("degree", "bound"), [(4, 2e-6), (25, 1.5e-5), (60, 5e-5)])
+def test_single_precision_costs_its_digits_only(degree: int, bound: float) -> None:
+    points = DirectionGrid.hammersley(2000).directions.float()
+    single, double = (harmonics.evaluate(p, degree) for p in (points, points.double()))
+    assert single.dtype == torch.float32
+    torch.testing.assert_close(single.double(), double, rtol=0, atol=bound)
+
+
 def test_orthonormal_under_quadrature() -> None:
     grid = DirectionGrid.latlong(26)
     basis = harmonics.evaluate(grid.directions, 12)
