@@ -17,8 +17,12 @@ WHITE = 16.0  # the exposed value that is white: nearly six stops above the mean
 _DARK = 1e-3  # of the mean luminance: black corners do not set the exposure
 
 
-def preview(radiance: Float[Tensor, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+def preview(
+    radiance: Float[Tensor, "h w 3"], *, picture: Float[Tensor, "r c 3"] | None = None
+) -> UInt8[np.ndarray, "r c 3"]:
     """sRGB codes of a lat-long map that shows sky and lamps as well as what they light.
+
+    Or, at the same exposure, of another ``picture`` of its light.
 
     Exposed by the logarithmic mean of luminance over the sphere and rolled off channel by channel,
     so that what is too bright turns white::
@@ -31,7 +35,8 @@ def preview(radiance: Float[Tensor, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
     level, share = luminance(light.flat).double(), light.grid.solid_angles
     share = share / share.sum()
     dark = max(_DARK * float(level @ share), 1e-30)
-    x = light.radiance * (KEY / math.exp(float((level + dark).log() @ share)))
+    seen = light.radiance if picture is None else picture.detach().to(light.radiance)
+    x = seen * (KEY / math.exp(float((level + dark).log() @ share)))
     shown = linear_to_srgb((x * (1 + x / WHITE**2) / (1 + x)).clamp(0, 1))
     return (255 * shown).round().to(torch.uint8).numpy()
 
