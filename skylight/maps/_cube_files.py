@@ -11,6 +11,7 @@ from skylight._names import PLAIN_READING, MapReading
 from skylight.errors import InputError
 from skylight.io._files import read_light, visible_files, write_light
 from skylight.io._hdr import check_suffix
+from skylight.io._light import READ_SUFFIXES
 from skylight.sphere._projections import FACES
 from skylight.work._resumable import results_folder
 
@@ -21,7 +22,6 @@ NAMINGS = (
     ("right", "left", "top", "bottom", "front", "back"),
 )
 PLACE = "{}"  # of a pattern: where the face's name stands
-_READ = (".exr", ".hdr", ".pic", ".tif", ".tiff")
 
 
 def written_faces(out: Path) -> list[Path]:
@@ -79,7 +79,7 @@ def _found(source: Path) -> list[Path]:
             f"sky_{PLACE}.hdr"
         )
     sets: dict[tuple[str, ...], dict[str, Path]] = {}
-    for file in visible_files(folder, _READ):
+    for file in visible_files(folder, READ_SUFFIXES):
         for naming in NAMINGS:
             for name in naming:
                 before = _before(file, name, source.name if is_pattern else None)
