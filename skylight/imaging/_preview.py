@@ -9,6 +9,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skylight.imaging._colour import linear_to_srgb
+from skylight.imaging._exposure import CameraExposure
 from skylight.io._files import write_environment_map, write_png
 from skylight.sphere._envmap import EnvironmentMap, luminance
 
@@ -41,12 +42,21 @@ def preview(
     return (255 * shown).round().to(torch.uint8).numpy()
 
 
-def write_probe(folder: Path, environment: EnvironmentMap, *, lights: str = "") -> None:
+def write_probe(
+    folder: Path,
+    environment: EnvironmentMap,
+    *,
+    lights: str = "",
+    exposure: CameraExposure | None = None,
+) -> None:
     """probe.exr, probe.hdr and a preview, probe.png, as all commands leave a light probe.
 
-    ``lights``, of estimates, is JSON of what shines in the map: the .exr has it in its header.
+    Of estimates the .exr has in its header ``lights``, JSON of what shines in the map, and, by the
+    photograph's ``exposure``, the luminance of its unit.
     """
     header: dict[str, object] = {"lights": lights} if lights else {}
+    if exposure is not None:
+        header |= exposure.attributes()
     write_environment_map(folder / "probe.exr", environment, header=header)
     write_environment_map(folder / "probe.hdr", environment)
     write_png(folder / "probe.png", preview(environment.radiance))

@@ -20,6 +20,7 @@ from skylight._names import (
 from skylight.errors import InputError
 from skylight.imaging._preview import preview
 from skylight.io._atomic import require_place
+from skylight.io._exr import white_luminance
 from skylight.io._files import (
     read_environment_map,
     read_light,
@@ -127,7 +128,8 @@ def convert_file(
 
     Between lat-long maps of one size nothing is resampled: columns are rolled, exactly. A smaller
     or larger lat-long map keeps its energy exactly; what other projections keep is said at
-    :func:`skylight.sphere._projections.from_latlong`. Of the projection "cube-faces", ``source``
+    :func:`skylight.sphere._projections.from_latlong`. What an .exr says of its unit in cd/m^2
+    (``whiteLuminance``) stays true. Of the projection "cube-faces", ``source``
     and ``out`` are a folder or a pattern: see :mod:`skylight.maps._cube_files`. ``preview_file``
     is a .png of what was written, exposed by the light's mean.
 
@@ -147,6 +149,8 @@ def convert_file(
         if preview_file.suffix.lower() != ".png":
             raise InputError(f"{preview_file}: choose a name that ends in .png")
         require_place(preview_file)
+    unit = white_luminance(source)
+    header: dict[str, object] = {} if unit is None else {"whiteLuminance": unit / adjustment.factor}
     light = adjustment(_read(source, source_projection, source_convention, reading))
     if projection == "latlong":
         if height is not None and height != light.layout[0]:
@@ -155,13 +159,14 @@ def convert_file(
                     f"a lat-long map has an even number of rows, 2 or more, not {height}"
                 )
             light = light.resize(height)
-        write_environment_map(out, light, half=half, convention=convention)
+        write_environment_map(out, light, half=half, convention=convention, header=header)
         shown = convert_latlong(light.radiance, "skylight", convention)
         written = light.layout
     else:
         if light.is_sky:
             light = light.with_ground(torch.zeros(3))
-        shown, written = _write_picture(out, light, projection, height=height, half=half)
+        header["comments"] = f"{projection}, skylight's frame"
+        shown, written = _write_picture(out, light, projection, header, height=height, half=half)
     if preview_file is not None:
         write_png(preview_file, preview(light.radiance, picture=shown))
     return written
@@ -191,7 +196,13 @@ def _sampled_as(projection: MapLayout) -> Projection:
 
 
 def _write_picture(
-    out: Path, light: EnvironmentMap, projection: MapLayout, *, height: int | None, half: bool
+    out: Path,
+    light: EnvironmentMap,
+    projection: MapLayout,
+    header: dict[str, object],
+    *,
+    height: int | None,
+    half: bool,
 ) -> tuple[Float[Tensor, "h w 3"], tuple[int, int]]:
     """Write, and return what is seen and the rows and columns of a file."""
     sampled = _sampled_as(projection)
@@ -205,7 +216,6 @@ def _write_picture(
     else:
         rows = height
     picture = from_latlong(light, sampled, rows)
-    header: dict[str, object] = {"comments": f"{projection}, skylight's frame"}
     if projection == "cube-faces":
         faces = faces_of_cross(picture)
         write_faces(out, faces, header=header, half=half)

@@ -25,7 +25,7 @@ from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import read_photo
 from skylight.inverse._result import Lamp
 from skylight.io._hdr import RGBE_MAX
-from skylight.maps._estimated import head_file, picked, read_light, read_numbers
+from skylight.maps._estimated import head_file, luminance_of_1, picked, read_light, read_numbers
 from skylight.relight._blender import PortraitScene, write_blender, write_blender_scene
 from skylight.relight._compact import compact_lights
 from skylight.relight._gltf import LAST_SIZE, write_gltf
@@ -104,26 +104,26 @@ def export_light(
     else:
         compact = compact_lights(light, lamps)
         separate, rest, cut_off = tuple(compact.lamps), compact.rest, compact.cut_off
-    size = face or default_face(light)
+    size, unit = face or default_face(light), luminance_of_1(probe)
     written: list[str] = []
     cut = 0.0
     with results_folder(out) as folder:
         for target in dict.fromkeys(targets):
             if target == "threejs":
-                written += write_threejs(folder, rest, separate)
+                written += write_threejs(folder, rest, separate, cd_per_m2=unit)
             elif target == "sh":
-                written += write_harmonics(folder, light, harmonics)
+                written += write_harmonics(folder, light, harmonics, cd_per_m2=unit)
             elif target == "ar":
-                written += write_augmented_reality(folder, light, size)
+                written += write_augmented_reality(folder, light, size, cd_per_m2=unit)
             elif target == "gltf":
-                files, cut = write_gltf(folder, rest, size, separate)
+                files, cut = write_gltf(folder, rest, size, separate, cd_per_m2=unit)
                 written += files
             elif target == "usd":
-                written += write_usd(folder, rest, separate)
+                written += write_usd(folder, rest, separate, cd_per_m2=unit)
             elif target == "mitsuba":
-                written += write_mitsuba(folder, rest, separate)
+                written += write_mitsuba(folder, rest, separate, cd_per_m2=unit)
             else:
-                written += write_blender(folder, rest, separate)
+                written += write_blender(folder, rest, separate, cd_per_m2=unit)
     return ExportedLight(files=written, lamps=separate, cut=cut, cut_off=cut_off)
 
 
@@ -205,6 +205,7 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
         specular=replace(SKIN_SPECULAR, f0=min(face["gloss"] * SKIN_SPECULAR.f0, MOST_REFLECTED)),
         verdict=told["verdict"]["summary"],
         advice=told["advice"],
+        cd_per_m2=luminance_of_1(numbers),
     )
     with results_folder(out) as folder:
         return write_blender_scene(folder, scene)

@@ -15,6 +15,7 @@ from torch import Tensor
 from skylight._names import Convention, MapLayout
 from skylight.cli import main
 from skylight.imaging._preview import preview
+from skylight.io._exr import white_luminance
 from skylight.io._files import (
     read_environment_map,
     read_light,
@@ -120,6 +121,16 @@ def test_scale_and_stops_multiply(probe: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.exr"
     assert main(["convert", str(probe), str(out), "--scale", "3", "--ev", "-1"]) == 0
     torch.testing.assert_close(read_light(out), 1.5 * read_light(probe))
+
+
+def test_what_a_map_says_of_its_unit_stays_true(probe: Path, tmp_path: Path) -> None:
+    source, out = tmp_path / "lit.exr", tmp_path / "out.exr"
+    write_environment_map(source, read_environment_map(probe), header={"whiteLuminance": 300.0})
+    for kind in ("latlong", "cube-row"):
+        assert main(["convert", str(source), str(out), "--to", kind, "--ev", "1"]) == 0
+        assert white_luminance(out) == pytest.approx(150)
+    assert main(["convert", str(probe), str(out)]) == 0
+    assert white_luminance(out) is None
 
 
 @pytest.mark.parametrize(("kind", "shape"), [("latlong", (16, 32)), ("cube-faces", (6, 36))])

@@ -14,6 +14,7 @@ from skylight._figures import describe_lamps
 from skylight._names import LightTarget
 from skylight.cli import main
 from skylight.io._bounded import write_json
+from skylight.io._exr import white_luminance
 from skylight.io._files import read_environment_map, read_light, write_environment_map
 from skylight.maps._estimated import read_light as read_given
 from skylight.maps._export import default_face
@@ -22,6 +23,7 @@ from skylight.sphere._frame import angle_between, convert_latlong, direction_fro
 from skylight.sphere._harmonics import project, to_convention
 from skylight.sphere._projections import FACES
 from tests.lamp_lit import lamp_lit, lamp_params
+from tests.relight.test_light_files import read_glb
 
 
 def test_all_targets_at_once(probe: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -181,6 +183,44 @@ def estimate(tmp_path: Path) -> Path:
     content = {"light": "lamps", "lamps": describe_lamps(lamps)}
     write_json(folder / "estimate.json", content)
     return folder
+
+
+@pytest.mark.parametrize("is_map", [True, False])
+def test_the_unit_in_candela_goes_into_every_file(estimate: Path, is_map: bool) -> None:
+    given = estimate
+    if is_map:
+        given = estimate.parent / "map.exr"
+        light = read_environment_map(estimate / "probe.exr")
+        write_environment_map(given, light, header={"whiteLuminance": 250.0})
+    else:
+        rewrite(estimate, luminance={"cd_per_m2": 250.0, "uncertainty_stops": 1})
+    out = estimate.parent / "out"
+    assert main(["export", "light", str(given), str(out), "--as", *get_args(LightTarget)]) == 0
+    for name in ("sh27.json", "ar_light.json"):
+        assert json.loads((out / name).read_text(encoding="utf-8"))["cd_per_m2"] == 250
+    three = json.loads((out / "lightprobe.json").read_text(encoding="utf-8"))
+    assert three["object"]["userData"] == {"cd_per_m2": 250}
+    tree, _ = read_glb(out / "light.glb")
+    assert tree["asset"]["extras"] == {"cd_per_m2": 250}
+    assert "double cd_per_m2 = 250\n" in (out / "light.usda").read_text(encoding="utf-8")
+    for name in ("usd_light.exr", "mitsuba_light.exr"):
+        assert white_luminance(out / name) == 250
+    assert 'world["cd_per_m2"] = 250 ' in (out / "load_light.py").read_text(encoding="utf-8")
+    ast.parse((out / "load_light.py").read_text(encoding="utf-8"))
+
+
+def test_an_unknown_unit_is_none(estimate: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = estimate.parent / "out"
+    command = ["export", "light", str(estimate), str(out), "--as", "sh", "usd", "blender"]
+    assert main(command) == 0
+    assert json.loads((out / "sh27.json").read_text(encoding="utf-8"))["cd_per_m2"] is None
+    assert white_luminance(out / "usd_light.exr") is None
+    assert "UNIT" not in (out / "light.usda").read_text(encoding="utf-8")
+    assert "cd_per_m2" not in (out / "load_light.py").read_text(encoding="utf-8")
+    for wrong in ({"cd_per_m2": -1.0}, {"cd_per_m2": "bright"}, {}):
+        rewrite(estimate, luminance=wrong)
+        assert main(command) == 2
+        assert "estimate the photograph again" in capsys.readouterr().err
 
 
 def rewrite(folder: Path, **changed: object) -> None:
