@@ -20,9 +20,10 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._cube_layouts import laid_out
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import Convention, DirectionGrid, convert_latlong, pixel_from_direction
-from skylight.sphere._projections import Projection, from_latlong
+from skylight.sphere._projections import FACES, Projection, from_latlong
 
 # the axes' usual colours, and what lies opposite in the colour that is left
 AXES = {
@@ -56,6 +57,7 @@ def write(folder: Path) -> None:
         "latlong": draw_latlong,
         "conventions": draw_conventions,
         "projections": draw_projections,
+        "cube_layouts": draw_cube_layouts,
         "harmonics": draw_harmonics,
     }.items():
         figure = draw()
@@ -166,6 +168,22 @@ def draw_projections() -> Figure:
         axis.imshow(torch.where(picture.sum(2, keepdim=True) > 0, picture, 1.0).numpy())
         axis.set_title(name)
         axis.set_axis_off()
+    return figure
+
+
+def draw_cube_layouts() -> Figure:
+    """The faces of a cube map: six files in a strip, and the cross that stands."""
+    cross = from_latlong(axis_map(), "cube", 96)
+    figure, axes = plt.subplots(1, 2, figsize=(10, 2.6), width_ratios=(6, 1.5))
+    for axis, name in zip(axes, ("cube-row", "cube-vertical"), strict=True):
+        picture = laid_out(cross, name)
+        axis.imshow(torch.where(picture.sum(2, keepdim=True) > 0, picture, 1.0).numpy())
+        axis.set_title(name)
+        axis.set_axis_off()
+    shown = ("-X", "+X", "+Y", "-Y", "+Z", "-Z")  # by the files of three.js
+    for number, (file, towards) in enumerate(zip(FACES, shown, strict=True)):
+        place = (number + 0.5) * 32 - 0.5
+        axes[0].text(place, 15.5, f"{file}: {towards}", ha="center", va="center", fontsize=9)
     return figure
 
 

@@ -15,6 +15,9 @@ DEFAULT_DETAIL: DetailName = "none"
 
 # How a sphere is drawn on a plane: skylight.sphere._projections
 Projection = Literal["latlong", "cube", "octahedral", "angular", "mirrorball"]
+# How the six faces of a cube map lie in a picture or in files: skylight.sphere._cube_layouts
+CubeLayout = Literal["cube-vertical", "cube-row", "cube-column", "cube-faces"]
+MapLayout = Literal[Projection, CubeLayout]
 # Where the columns of a lat-long map look: skylight.sphere._frame
 Convention = Literal["skylight", "openexr", "mitsuba", "threejs", "blender", "unity"]
 

@@ -400,7 +400,7 @@ def write_results(folder: Path, result: PhotoEstimate, *, keep_place: bool = Fal
     place and heading are private, and stand in estimate.json only with ``keep_place``.
     """
     lights = json.dumps(describe_lights(result.estimate))
-    write_probe(folder, result.probe, lights=lights)
+    write_probe(folder, result.probe, lights=lights, exposure=result.camera_exposure)
     write_environment_map(folder / "posterior.exr", posterior_map(result.estimate.posterior))
     write_json(folder / "estimate.json", describe(result, keep_place=keep_place))
     for name, seen in zip(mesh_names(result), result.seen, strict=True):

@@ -26,6 +26,7 @@ from skylight.faces._landmarks import DetectedFace
 from skylight.faces._observe import FaceView
 from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.imaging._colour import Decode
+from skylight.imaging._exposure import CameraExposure
 from skylight.imaging._photo import Photo
 from skylight.inverse._posterior import SHARE, SunPosterior
 from skylight.inverse._result import Estimate, FaceLight
@@ -91,6 +92,11 @@ class PhotoEstimate:
         if not self.seen or self.view.behind is None:
             return self.estimate.environment
         return detailed(self.estimate, self.view.behind, self.view.observation.grey, self.detail)
+
+    @property
+    def camera_exposure(self) -> CameraExposure | None:
+        """That of the photograph whose units the map has, where its data tell."""
+        return self.photos[self.seen[0].photo].camera_exposure if self.seen else None
 
     @property
     def face(self) -> DetectedFace:
@@ -215,7 +221,7 @@ PACKAGES = ("torch", "numpy", "scipy", "dlib-bin", "onnxruntime", "embreex")
 
 def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
     """What estimate.json holds; ``skylight relight --latent`` reads the autoencoder's."""
-    estimate = result.estimate
+    estimate, exposure = result.estimate, result.camera_exposure
     return {
         "sources": list(result.names),
         "light": estimate.light,
@@ -231,6 +237,7 @@ def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
         "posterior": describe_posterior(estimate.posterior),
         "ground_albedo": estimate.ground_albedo.tolist() if has_ground(estimate) else None,
         "params": estimate.params.tolist(),
+        "luminance": None if exposure is None else exposure.described(),
         "exposure": estimate.exposure,
         "white_balance": estimate.white_balance.tolist(),
         "edit": asdict(estimate.faces[0].edit),
@@ -319,6 +326,13 @@ def at(direction: Float[Tensor, "3"]) -> str:
     return f"azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° ({place(direction)})"
 
 
+def _unit_in_words(exposure: CameraExposure | None) -> str:
+    if exposure is None:
+        return "unknown: the photograph's data lack exposure time, f-number or ISO"
+    rounded = float(f"{exposure.cd_per_m2:.2g}")
+    return f"1 in the map is about {rounded:g} cd/m², within a stop"
+
+
 def summary(result: PhotoEstimate) -> str:
     """A few lines for the terminal."""
     estimate = result.estimate
@@ -341,6 +355,7 @@ def summary(result: PhotoEstimate) -> str:
                 f"{label:<12}re-rendered to within {100 * face.residual:.0f} % on average"
                 for label, face in zip(labels, estimate.faces, strict=True)
             ),
+            f"{'unit':<12}{_unit_in_words(result.camera_exposure)}",
             f"solver      {estimate.status} after {sum(result.seconds.values()):.0f} s",
         ]
     )

@@ -10,6 +10,9 @@ from ._colour import (
     srgb_to_linear as srgb_to_linear,
     tone_map as tone_map,
 )
+from ._exposure import (
+    CameraExposure as CameraExposure,
+)
 from ._film import (
     FilmFrame as FilmFrame,
     film_frames as film_frames,

@@ -11,6 +11,7 @@ from PIL import ExifTags, Image
 
 from skylight.errors import InputError
 from skylight.imaging._capture_metadata import CaptureMetadata
+from skylight.imaging._exposure import CameraExposure
 from skylight.io._bounded import file_bytes
 
 FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
@@ -26,12 +27,11 @@ _FARTHEST_OFFSET = timedelta(hours=14)  # of all zones in use
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFacts:
-    """``focal_px`` in pixels of the picture, ``flash``: whether it fired, ``exposure_value`` as
-    :func:`exposure_value`; None where unknown."""
+    """``focal_px`` in pixels of the picture, ``flash``: whether it fired; None where unknown."""
 
     focal_px: float | None = None
     flash: bool | None = None
-    exposure_value: float | None = None
+    camera_exposure: CameraExposure | None = None
     taken: CaptureMetadata | None = None
 
 
@@ -41,7 +41,7 @@ def camera_facts(exif: Image.Exif, width: int, height: int) -> CameraFacts:
     return CameraFacts(
         focal_px=focal_length_px(exif, width, height),
         flash=flash_fired(exif),
-        exposure_value=exposure_value(exif),
+        camera_exposure=camera_exposure(exif),
         taken=None if taken.is_nothing else taken,
     )
 
@@ -81,14 +81,10 @@ def flash_fired(exif: Image.Exif) -> bool | None:
     return bool(value & 1) if isinstance(value, int) else None
 
 
-def exposure_value(exif: Image.Exif) -> float | None:
-    """How bright the scene was that the exposure was chosen for, as the exposure value at ISO 100::
+def camera_exposure(exif: Image.Exif) -> CameraExposure | None:
+    """Exposure time, f-number and sensitivity (the first, where there are several).
 
-        EV = log2(N^2 / t) - log2(S / 100)
-
-    with the f-number N, the exposure time t in seconds and the sensitivity S (the first, where
-    there are several). None where one of them is missing, and where no picture of a person is so
-    dark or bright.
+    None where one of them is missing, and where no picture of a person is so dark or bright.
     """
     tags = exif.get_ifd(ExifTags.IFD.Exif)
     seconds, aperture = _positive(tags, "ExposureTime"), _positive(tags, "FNumber")
@@ -96,8 +92,8 @@ def exposure_value(exif: Image.Exif) -> float | None:
     # 65535 stands for all that is more (EXIF 2.32)
     if seconds is None or aperture is None or not 0 < sensitivity < 65535:
         return None
-    value = 2 * math.log2(aperture) - math.log2(seconds) - math.log2(sensitivity / 100)
-    return value if EXPOSURE_VALUES[0] <= value <= EXPOSURE_VALUES[1] else None
+    exposure = CameraExposure(seconds=seconds, aperture=aperture, iso=sensitivity)
+    return exposure if EXPOSURE_VALUES[0] <= exposure.value <= EXPOSURE_VALUES[1] else None
 
 
 def taken_from(exif: Image.Exif) -> CaptureMetadata:

@@ -19,6 +19,7 @@ from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.imaging._colour import Decode, decode_values, linear_to_srgb, tone_map
 from skylight.imaging._encoding import Encoding, ProfileTables
 from skylight.imaging._exif import CameraFacts, camera_facts, tiff_exif
+from skylight.imaging._exposure import CameraExposure
 from skylight.imaging._pictures import PICTURE_SUFFIXES, StoredPicture, stored_picture
 from skylight.io._bounded import require_bytes, require_pixels
 from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES
@@ -94,7 +95,8 @@ class Photo:
     * ``grey``: without colour: the three channels of ``pixels`` are equal.
     * ``focal_px``: focal length in pixels of this picture, None where the file does not tell.
     * ``flash``: whether it fired, None where the file does not tell.
-    * ``exposure_value``: that of the scene at ISO 100, None where the file does not tell.
+    * ``camera_exposure``: exposure time, f-number and ISO, None where the file does not tell;
+      ``exposure_value`` is that of the scene at ISO 100.
     * ``taken``: where and when, as far as the file tells.
     """
 
@@ -104,8 +106,13 @@ class Photo:
     grey: bool = False
     focal_px: float | None = None
     flash: bool | None = None
-    exposure_value: float | None = None
+    camera_exposure: CameraExposure | None = None
     taken: CaptureMetadata | None = None
+
+    @property
+    def exposure_value(self) -> float | None:
+        """How bright the scene was that the exposure was chosen for: that of ISO 100."""
+        return None if self.camera_exposure is None else self.camera_exposure.value
 
 
 def read_photo(

@@ -1,5 +1,6 @@
 """OpenEXR files: which layer is light, where it lies, and in which colours it is stored."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,6 +93,22 @@ def read_exr(path: Path, layer: str | None) -> tuple[Float[np.ndarray, "h w 3"],
             "as they are stored, not resampled"
         )
     return pixels, notes
+
+
+def white_luminance(path: Path) -> float | None:
+    """The standard attribute: cd/m^2 of the value (1, 1, 1); None of files that lack it.
+
+    0 stands for unknown too; so does what is no .exr that can be read.
+    """
+    if path.suffix.lower() != ".exr" or not path.is_file():
+        return None
+    try:
+        with muted():
+            header = OpenEXR.File(str(path), header_only=True).header()
+        told = float(header.get("whiteLuminance", 0))
+    except (RuntimeError, TypeError, ValueError):
+        return None
+    return told if 0 < told < math.inf else None
 
 
 def transparency(alpha: Float[np.ndarray, "h w"], pixels: Float[np.ndarray, "h w 3"]) -> list[str]:

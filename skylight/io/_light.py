@@ -14,6 +14,7 @@ from skylight.io._radiance import read_radiance
 from skylight.io._tiff import read_tiff
 
 _TIFF_SUFFIXES = (".tif", ".tiff")
+READ_SUFFIXES = (".exr", *RADIANCE_SUFFIXES, *_TIFF_SUFFIXES)
 _REPAIRED_MOST = 0.05  # share of the pixels; more is no map with faults but another thing
 _SMALL = 0.1  # of a negative value, over the largest of its pixel or the mean of the map
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
-from skylight._names import PLAIN_READING, Convention, MapReading, Projection, Sign
+from skylight._names import PLAIN_READING, Convention, MapLayout, MapReading, Sign
 from skylight.errors import InputError
 from skylight.work._device import Device
 
@@ -15,34 +15,52 @@ from skylight.work._device import Device
 def convert(
     source: Annotated[Positional[Path], tyro.conf.arg(name="in")],
     out: Positional[Path],
-    to: Projection = "latlong",
+    to: MapLayout = "latlong",
     convention: Convention = "skylight",
-    from_: Annotated[Projection, tyro.conf.arg(name="from")] = "latlong",
+    from_: Annotated[MapLayout, tyro.conf.arg(name="from")] = "latlong",
     from_convention: Convention = "skylight",
     height: int | None = None,
+    rotate: float = 0.0,
+    pitch: float = 0.0,
+    roll: float = 0.0,
+    scale: float = 1.0,
+    ev: float = 0.0,
     half: bool = False,
+    preview: Path | None = None,
     reading: Annotated[MapReading, tyro.conf.OmitArgPrefixes] = PLAIN_READING,
 ) -> None:
-    """Write a map of light in another projection, or the way another program turns it.
+    """Write a map of light in another projection, turned or brighter, or as a program turns it.
 
-    Projections: latlong; cube (a cross of six faces: written 4:3, read 4:3 or 3:4); octahedral
-    (the zenith in the centre); angular (Debevec's, forwards in the centre); mirrorball (what such
-    a ball shows a camera far away). Conventions say where the columns of a lat-long map look.
+    Projections: latlong; cube (a cross of six faces: written 4:3, read 4:3 or 3:4), cube-vertical
+    (3:4), cube-row and cube-column (strips), cube-faces (six files: a folder of px.hdr, nx.hdr ...,
+    or a pattern as sky_{}.exr; posx ... and right, left, top, bottom, front, back are read too);
+    octahedral (the zenith in the centre); angular (Debevec's, forwards in the centre); mirrorball
+    (what such a ball shows a camera far away). Conventions say where the columns of a lat-long map
+    look.
 
     Args:
         source: The map to read: .exr, .hdr, .pic, or a .tif of float samples. Colours that it
-            declares are converted to linear Rec.709.
-        out: The file to write: .exr or .hdr.
+            declares are converted to linear Rec.709. Of cube-faces, a folder or pattern.
+        out: The file to write: .exr or .hdr. Of cube-faces, a folder or pattern.
         to: Projection of the file to write.
         convention: Which program's way of turning lat-long maps to write.
         from_: Projection of the map to read.
         from_convention: Which program's way of turning lat-long maps it has.
         height: Rows to write; by default about as many as keep the detail.
+        rotate: Turn the light about the vertical by so many degrees; positive ones move what is
+            ahead to the right.
+        pitch: Turn what is ahead up by so many degrees, before --rotate. Resamples the map.
+        roll: Turn the light clockwise about what is ahead, before --pitch. Resamples the map.
+        scale: Multiply radiance by this.
+        ev: Brighten by so many stops: radiance times 2 to that.
         half: Write an .exr in half precision.
+        preview: Also write this .png, which shows what was written.
         reading: How the map is read.
     """
-    from skylight.maps._convert import convert_file
+    from skylight.maps._convert import Adjustment, convert_file
 
+    if not -60 <= ev <= 60:
+        raise InputError(f"--ev takes stops from -60 to 60, not {ev:g}")
     rows, columns = convert_file(
         source,
         out,
@@ -50,11 +68,16 @@ def convert(
         convention=convention,
         source_projection=from_,
         source_convention=from_convention,
+        adjustment=Adjustment(
+            rotate_deg=rotate, pitch_deg=pitch, roll_deg=roll, factor=scale * 2**ev
+        ),
         height=height,
         half=half,
+        preview_file=preview,
         reading=reading,
     )
-    print(f"{out}: {to}, {columns} x {rows} pixels")
+    each = "six files, each " if to == "cube-faces" else ""
+    print(f"{out}: {to}, {each}{columns} x {rows} pixels")
 
 
 def score(

@@ -13,6 +13,7 @@ from skylight._names import PLAIN_READING, Convention, MapReading
 from skylight.errors import InputError
 from skylight.inverse._result import Lamp
 from skylight.io._bounded import json_content
+from skylight.io._exr import white_luminance
 from skylight.io._files import read_environment_map
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import direction_from_angles
@@ -61,6 +62,23 @@ def read_numbers(path: Path) -> tuple[Path, dict[str, Any]]:
     if not isinstance(content, dict) or "light" not in content:
         raise InputError(f'{path}: these are not the numbers of an estimate: "light" is missing')
     return path, content
+
+
+def luminance_of_1(path: Path) -> float | None:
+    """cd/m^2 that a radiance of 1 stands for, None where unknown.
+
+    Of an estimate as estimate.json has it, of an .exr as ``whiteLuminance`` in its header.
+    """
+    if not path.is_dir() and path.suffix.lower() != ".json":
+        return white_luminance(path)
+    numbers, content = read_numbers(path)
+    try:
+        told = picked(content.get("luminance"), ({"cd_per_m2": float}, None), "luminance")
+        if told is not None and not told["cd_per_m2"] > 0:
+            raise ValueError('"cd_per_m2" is not above 0')
+    except ValueError as error:
+        raise InputError(f"{numbers}: {error}: estimate the photograph again") from None
+    return None if told is None else told["cd_per_m2"]
 
 
 def head_file(numbers: Path, place: int, *, of: int) -> Path:

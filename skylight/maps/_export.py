@@ -25,8 +25,9 @@ from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import read_photo
 from skylight.inverse._result import Lamp
 from skylight.io._hdr import RGBE_MAX
-from skylight.maps._estimated import head_file, picked, read_light, read_numbers
+from skylight.maps._estimated import head_file, luminance_of_1, picked, read_light, read_numbers
 from skylight.relight._blender import PortraitScene, write_blender, write_blender_scene
+from skylight.relight._compact import compact_lights
 from skylight.relight._gltf import LAST_SIZE, write_gltf
 from skylight.relight._harmonics import (
     write_augmented_reality,
@@ -41,18 +42,20 @@ from skylight.work._resumable import results_folder
 
 WHOLE = {"sh", "ar"}  # targets that have no lights of an artist's own to move
 LARGEST_FACE = 2048
+MOST_LAMPS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportedLight:
     """What was written: ``cut`` is the share of the light that light.glb's reflections lack.
 
-    ``lamps`` is how many became lights of their own.
+    ``lamps`` became lights of their own. ``cut_off``: as :class:`CompactLights` has it.
     """
 
     files: list[str]
-    lamps: int
+    lamps: tuple[Lamp, ...]
     cut: float
+    cut_off: bool = False
 
 
 def export_light(
@@ -62,13 +65,15 @@ def export_light(
     *,
     convention: Convention = "skylight",
     harmonics: HarmonicConvention = "skylight",
+    lamps: int | None = None,
     face: int | None = None,
     reading: MapReading = PLAIN_READING,
 ) -> ExportedLight:
     """Write the files of each target into the folder ``out``.
 
     ``probe`` is a map, or an estimate's folder or estimate.json: its lamps are lights of their own
-    of all targets but "sh" and "ar", beside the rest of its map.
+    of all targets but "sh" and "ar", beside the rest of its map. So are, of a map, as many as
+    ``lamps`` of its strongest compact lights (:func:`skylight.relight._compact.compact_lights`).
 
     ``face`` is the side of a cube map's faces, a power of two from 32; by default the largest that
     shows no more detail than the map's horizon, from 64 to 512. A sky alone gets a black lower
@@ -86,30 +91,40 @@ def export_light(
             f"a cube map's faces are a power of two from {2 * LAST_SIZE} to {LARGEST_FACE} pixels "
             f"wide, not {face}"
         )
-    light, lamps = read_light(probe, convention, reading)
-    separate = lamps if set(targets) - WHOLE else ()
-    rest = without_lamps(light, separate)
-    size = face or default_face(light)
+    light, listed = read_light(probe, convention, reading)
+    cut_off = False
+    if not set(targets) - WHOLE:
+        separate, rest = (), light
+    elif lamps is None:
+        separate, rest = listed, without_lamps(light, listed)
+    elif listed:
+        raise InputError(f"{probe}: the lamps of an estimate are those it lists: leave --lamps out")
+    elif not 0 <= lamps <= MOST_LAMPS:
+        raise InputError(f"0 to {MOST_LAMPS} lamps are taken out of a map, not {lamps}")
+    else:
+        compact = compact_lights(light, lamps)
+        separate, rest, cut_off = tuple(compact.lamps), compact.rest, compact.cut_off
+    size, unit = face or default_face(light), luminance_of_1(probe)
     written: list[str] = []
     cut = 0.0
     with results_folder(out) as folder:
         for target in dict.fromkeys(targets):
             if target == "threejs":
-                written += write_threejs(folder, rest, lamps)
+                written += write_threejs(folder, rest, separate, cd_per_m2=unit)
             elif target == "sh":
-                written += write_harmonics(folder, light, harmonics)
+                written += write_harmonics(folder, light, harmonics, cd_per_m2=unit)
             elif target == "ar":
-                written += write_augmented_reality(folder, light, size)
+                written += write_augmented_reality(folder, light, size, cd_per_m2=unit)
             elif target == "gltf":
-                files, cut = write_gltf(folder, rest, size, lamps)
+                files, cut = write_gltf(folder, rest, size, separate, cd_per_m2=unit)
                 written += files
             elif target == "usd":
-                written += write_usd(folder, rest, lamps)
+                written += write_usd(folder, rest, separate, cd_per_m2=unit)
             elif target == "mitsuba":
-                written += write_mitsuba(folder, rest, lamps)
+                written += write_mitsuba(folder, rest, separate, cd_per_m2=unit)
             else:
-                written += write_blender(folder, rest, lamps)
-    return ExportedLight(files=written, lamps=len(separate), cut=cut)
+                written += write_blender(folder, rest, separate, cd_per_m2=unit)
+    return ExportedLight(files=written, lamps=separate, cut=cut, cut_off=cut_off)
 
 
 def default_face(light: EnvironmentMap) -> int:
@@ -190,6 +205,7 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
         specular=replace(SKIN_SPECULAR, f0=min(face["gloss"] * SKIN_SPECULAR.f0, MOST_REFLECTED)),
         verdict=told["verdict"]["summary"],
         advice=told["advice"],
+        cd_per_m2=luminance_of_1(numbers),
     )
     with results_folder(out) as folder:
         return write_blender_scene(folder, scene)

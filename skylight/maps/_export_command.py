@@ -3,7 +3,7 @@
 import math
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from tyro.conf import Positional
@@ -16,6 +16,9 @@ from skylight._names import (
     MapReading,
 )
 from skylight.errors import InputError
+
+if TYPE_CHECKING:
+    from skylight.maps._export import ExportedLight
 
 export = tyro.extras.SubcommandApp()
 
@@ -102,22 +105,51 @@ def export_scene(
 
 @export.command(name="blender")
 def export_blender(
-    estimate: Positional[Path], out: Positional[Path], photo: Path | None = None
+    estimate: Positional[Path],
+    out: Positional[Path],
+    photo: Path | None = None,
+    lamps: int | None = None,
+    from_convention: Convention = "skylight",
 ) -> None:
-    """Write a portrait's light, camera, head and photograph for Blender's extension.
+    """Write a portrait's light, camera, head and photograph for Blender's extension; or a map's.
 
     The extension "World from Portrait" runs this itself; docs/blender.md tells how to get it.
     Writes blender_scene.json, blender_light.hdr (the light without the sun or lamps, which
     blender_scene.json has), photograph.png (upright, as sRGB shows its light) and head.obj.
 
+    Of a map, its sun or main lamp becomes a sun of Blender that stands where the map shows it, and
+    leaves the map: load_light.py makes it, and the world of blender_light.hdr.
+
     Args:
         estimate: Folder that skylight estimate wrote for a photograph, or its estimate.json. Of
-            several faces the first one's head and camera are taken.
+            several faces the first one's head and camera are taken. Or any .exr or .hdr lat-long
+            map.
         out: Folder for the files.
         photo: The photograph, if it is not any more where it was.
+        lamps: Of a map: so many of its strongest lights at most become suns; 1 by default.
+        from_convention: Of a map: which program's way of turning lat-long maps it has; blender
+            keeps it as Blender's own Environment Texture shows it.
     """
-    from skylight.maps._export import export_blender_scene
+    from skylight.io._light import READ_SUFFIXES
+    from skylight.maps._export import export_blender_scene, export_light
 
+    if estimate.suffix.lower() in READ_SUFFIXES and not estimate.is_dir():
+        if photo is not None:
+            raise InputError(f"{estimate}: a map has no photograph: leave --photo out")
+        exported = export_light(
+            estimate,
+            out,
+            ["blender"],
+            convention=from_convention,
+            lamps=1 if lamps is None else lamps,
+        )
+        print(f"written into {out}: {', '.join(exported.files)}")
+        _tell_lamps(exported, of_map=True)
+        return
+    if lamps is not None or from_convention != "skylight":
+        raise InputError(
+            f"{estimate}: --lamps and --from-convention are of maps: leave them out for an estimate"
+        )
     files = export_blender_scene(estimate, out, photo=photo)
     print(f"written into {out}: {', '.join(files)}")
 
@@ -162,6 +194,7 @@ def export_light(
     as_: Annotated[tuple[LightTarget, ...], tyro.conf.arg(name="as")],
     from_convention: Convention = "skylight",
     sh_convention: HarmonicConvention = "skylight",
+    lamps: int | None = None,
     face: int | None = None,
     reading: Annotated[MapReading, tyro.conf.OmitArgPrefixes] = PLAIN_READING,
 ) -> None:
@@ -174,7 +207,8 @@ def export_light(
 
     Given an estimate's folder, the lamps that it lists (of --light sphere or lamps) become lights
     to move and switch, beside the rest of its map: DirectionalLight, KHR_lights_punctual,
-    DistantLight, directional emitters, suns. sh and ar have all light in one.
+    DistantLight, directional emitters, suns. sh and ar have all light in one. --lamps does so with
+    the sun and the lamps of any map.
 
     Args:
         probe: .exr or .hdr lat-long map of the sphere, or of the sky; or the folder that skylight
@@ -183,6 +217,8 @@ def export_light(
         as_: One target or more.
         from_convention: Which program's way of turning lat-long maps the probe has.
         sh_convention: Of sh27.json: signs, order and what the numbers stand for.
+        lamps: Of a map: find so many of its strongest compact lights at most (the sun, lamps,
+            windows) and make them lights of their own, which leave the map.
         face: Pixels of a cube map's side, a power of two; by default as the map's detail asks.
         reading: How the map is read.
     """
@@ -194,15 +230,40 @@ def export_light(
         as_,
         convention=from_convention,
         harmonics=sh_convention,
+        lamps=lamps,
         face=face,
         reading=reading,
     )
     print(f"written into {out}: {', '.join(exported.files)}")
-    if exported.lamps:
-        print(f"lamps that are lights of their own, not in the map: {exported.lamps}")
+    _tell_lamps(exported, of_map=lamps is not None)
     if exported.cut > 0.001:
         print(
             f"skylight: take care: reflections of light.glb lack {100 * exported.cut:.1f} % of the "
             "light, cut off at 255 where its format ends; its diffuse light is whole",
+            file=sys.stderr,
+        )
+
+
+def _tell_lamps(exported: "ExportedLight", *, of_map: bool) -> None:
+    """What became lights of their own: how many, and where those stand that a map showed."""
+    from skylight._figures import angles_deg
+    from skylight.relight._lamps import disc_diameter_rad
+
+    if exported.lamps:
+        print(f"lamps that are lights of their own, not in the map: {len(exported.lamps)}")
+    elif of_map:
+        print("no compact light in the map: it is whole")
+    for number, lamp in enumerate(exported.lamps if of_map else (), start=1):
+        azimuth, zenith = angles_deg(lamp.direction)
+        wide = math.degrees(disc_diameter_rad(lamp.spread_rad))
+        told = ", ".join(f"{channel:.3g}" for channel in lamp.irradiance.tolist())
+        print(
+            f"lamp {number}: azimuth {azimuth:.1f}, zenith {zenith:.1f} degrees, "
+            f"{wide:.2f} degrees wide, irradiance {told}"
+        )
+    if exported.cut_off:
+        print(
+            "skylight: take care: the map's brightest place has one level all over; where that is "
+            "because it was cut off, its lamp is brighter than was found",
             file=sys.stderr,
         )

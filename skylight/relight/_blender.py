@@ -73,11 +73,20 @@ for name, towards, colour, energy, angle in LAMPS:
 
 
 def write_blender(
-    folder: Path, environment: EnvironmentMap, lamps: Sequence[Lamp] = ()
+    folder: Path,
+    environment: EnvironmentMap,
+    lamps: Sequence[Lamp] = (),
+    *,
+    cd_per_m2: float | None = None,
 ) -> list[str]:
-    """load_light.py and blender_light.hdr; ``lamps`` beside the ``environment`` become suns."""
+    """load_light.py and blender_light.hdr; ``lamps`` beside the ``environment`` become suns.
+
+    The world has ``cd_per_m2``, the luminance of a radiance of 1, as a custom property.
+    """
     write_environment_map(folder / TEXTURE, environment, convention="blender")
     script = _SCRIPT
+    if cd_per_m2 is not None:
+        script += f'world["cd_per_m2"] = {cd_per_m2:.9g}  # luminance of a radiance of 1\n'
     if lamps:
         suns = [_sun(number, lamp) for number, lamp in enumerate(lamps, start=1)]
         script += _SUNS.format(lamps="".join(suns))
@@ -110,7 +119,8 @@ class PortraitScene:
     ``ambient`` is the light without the ``lamps``, each with its name. ``photograph`` has sRGB's
     codes, upright; the camera's centre is its middle and ``focal_px`` its focal length. ``head``
     is the .obj of the face, in metres, ``albedo`` its mean reflectance and ``specular`` its
-    specular lobe. ``verdict`` and ``advice`` tell how far to trust the light.
+    specular lobe; ``cd_per_m2`` the luminance of a radiance of 1. ``verdict`` and ``advice`` tell
+    how far to trust the light.
     """
 
     ambient: EnvironmentMap
@@ -122,6 +132,7 @@ class PortraitScene:
     specular: Specular
     verdict: str
     advice: Sequence[str]
+    cd_per_m2: float | None = None
 
 
 def write_blender_scene(folder: Path, scene: PortraitScene) -> list[str]:
@@ -139,6 +150,7 @@ def write_blender_scene(folder: Path, scene: PortraitScene) -> list[str]:
         "version": VERSION,
         "axes": "+Z up; the camera at the origin looks along +Y, +X is the picture's right",
         "world": TEXTURE,
+        "cd_per_m2": scene.cd_per_m2,
         "suns": [_describe(name, lamp) for name, lamp in scene.lamps],
         "photograph": PHOTOGRAPH,
         "photograph_px": [width, height],

@@ -33,7 +33,12 @@ _BLOCK = 1024  # directions at a time: 64 MB of scratch
 
 
 def write_gltf(
-    folder: Path, environment: EnvironmentMap, size: int, lamps: Sequence[Lamp] = ()
+    folder: Path,
+    environment: EnvironmentMap,
+    size: int,
+    lamps: Sequence[Lamp] = (),
+    *,
+    cd_per_m2: float | None = None,
 ) -> tuple[list[str], float]:
     """light.glb: a scene without objects whose light this is; ``size`` is a power of two.
 
@@ -48,7 +53,8 @@ def write_gltf(
     the light mirrored in x, each flipped so, with +X and -X exchanged.
 
     ``lamps`` beside the ``environment`` are nodes that shine along their -Z. Their intensity is
-    the irradiance of a surface that faces them: lux, were the map's radiance in cd / m^2.
+    the irradiance of a surface that faces them: lux, were the map's radiance in cd / m^2; the
+    luminance of a radiance of 1, ``cd_per_m2``, is among the asset's ``extras``.
     """
     mirrored = EnvironmentMap(radiance=environment.radiance.flip(1))
     levels = [level.cpu().numpy() for level in prefiltered_levels(mirrored, size)]
@@ -69,7 +75,8 @@ def write_gltf(
         "specularImageSize": size,
         "specularImages": numbers,
     }
-    _write_glb(folder / LIGHT, light, pictures, names, lamps)
+    extras = {"cd_per_m2": cd_per_m2}
+    _write_glb(folder / LIGHT, light, pictures, names, lamps, extras)
     return [LIGHT], float((whole - held) / max(whole, 1e-30))
 
 
@@ -107,7 +114,12 @@ def _png(codes: UInt8[np.ndarray, "h w 4"]) -> bytes:
 
 
 def _write_glb(
-    path: Path, light: dict, pictures: list[bytes], names: list[str], lamps: Sequence[Lamp]
+    path: Path,
+    light: dict,
+    pictures: list[bytes],
+    names: list[str],
+    lamps: Sequence[Lamp],
+    extras: dict,
 ) -> None:
     """GLB container, glTF 2.0 specification, 4.4: every chunk fills up to four bytes."""
     views, binary = [], b""
@@ -116,7 +128,7 @@ def _write_glb(
         binary += picture + b"\0" * (-len(picture) % 4)
     extension = "EXT_lights_image_based"
     tree = {
-        "asset": {"version": "2.0", "generator": "skylight"},
+        "asset": {"version": "2.0", "generator": "skylight", "extras": extras},
         "extensionsUsed": [extension],
         "extensions": {extension: {"lights": [light]}},
         "scene": 0,

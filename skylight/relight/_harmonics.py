@@ -48,14 +48,19 @@ def rounded(coefficients: Float[Tensor, "9 3"], convention: HarmonicConvention) 
 
 
 def write_harmonics(
-    folder: Path, environment: EnvironmentMap, convention: HarmonicConvention
+    folder: Path,
+    environment: EnvironmentMap,
+    convention: HarmonicConvention,
+    *,
+    cd_per_m2: float | None = None,
 ) -> list[str]:
-    """sh27.json: the numbers, and what they stand for."""
+    """sh27.json: the numbers, what they stand for, and the luminance of a radiance of 1."""
     content = {
         "format": "skylight sh27 1",
         "convention": convention,
         "numbers_are": _STANDS_FOR[convention],
         "axes": "right-handed, +Y up, the camera looks along -Z",
+        "cd_per_m2": cd_per_m2,
         "sh": rounded(second_degree(environment), convention),
     }
     write_json(folder / HARMONICS, content)
@@ -63,7 +68,11 @@ def write_harmonics(
 
 
 def write_threejs(
-    folder: Path, environment: EnvironmentMap, lamps: Sequence[Lamp] = ()
+    folder: Path,
+    environment: EnvironmentMap,
+    lamps: Sequence[Lamp] = (),
+    *,
+    cd_per_m2: float | None = None,
 ) -> list[str]:
     """lightprobe.json: ``new ObjectLoader().parse(json)`` is a LightProbe with this light.
 
@@ -73,7 +82,7 @@ def write_threejs(
     diffuse light, not both.
 
     With ``lamps`` beside the ``environment``, it is a Group of that probe and a DirectionalLight
-    for each lamp.
+    for each lamp. ``cd_per_m2``, the luminance of a radiance of 1, is in its ``userData``.
     """
     write_environment_map(folder / REFLECTED, environment, convention="threejs")
     numbers = rounded(second_degree(environment), "threejs")
@@ -81,6 +90,7 @@ def write_threejs(
     if lamps:
         lights = [_directional(number, lamp) for number, lamp in enumerate(lamps, start=1)]
         tree = _object("Group", "skylight", lights, children=[tree, *lights])
+    tree["userData"] = {"cd_per_m2": cd_per_m2}
     metadata = {"version": _OBJECT_FORMAT, "type": "Object", "generator": "skylight"}
     write_json(folder / LIGHT_PROBE, {"metadata": metadata, "object": tree})
     return [LIGHT_PROBE, REFLECTED]
@@ -120,7 +130,9 @@ def _object(kind: str, name: str, content: list, **more: object) -> dict[str, ob
     }
 
 
-def write_augmented_reality(folder: Path, environment: EnvironmentMap, size: int) -> list[str]:
+def write_augmented_reality(
+    folder: Path, environment: EnvironmentMap, size: int, *, cd_per_m2: float | None = None
+) -> list[str]:
     """ar_light.json and cube_px.hdr to cube_nz.hdr, faces of ``size`` pixels.
 
     As Google's sample shader for ARCore's Environmental HDR states it (environmental_hdr.frag),
@@ -129,7 +141,8 @@ def write_augmented_reality(folder: Path, environment: EnvironmentMap, size: int
 
     the cube map shows the sun, the harmonics do not. The main light's direction points towards
     it; its intensity is the irradiance of a plane that faces it, so that a diffuse surface sends
-    back albedo / pi * (intensity <n, s>+ + E_harmonics(n)).
+    back albedo / pi * (intensity <n, s>+ + E_harmonics(n)). ``cd_per_m2`` is the luminance of a
+    radiance of 1.
     """
     main, rest = split_main_light(environment)
     ambient = second_degree(rest)
@@ -140,6 +153,7 @@ def write_augmented_reality(folder: Path, environment: EnvironmentMap, size: int
     content = {
         "format": "skylight ar light 1",
         "axes": "right-handed, +Y up, metres; the camera of the picture looked along -Z",
+        "cd_per_m2": cd_per_m2,
         "main_light": {
             "visible": main.visible,
             "direction_towards_light": main.direction.tolist(),

@@ -70,18 +70,29 @@ LAMPS
 
 
 def write_mitsuba(
-    folder: Path, environment: EnvironmentMap, lamps: Sequence[Lamp] = ()
+    folder: Path,
+    environment: EnvironmentMap,
+    lamps: Sequence[Lamp] = (),
+    *,
+    cd_per_m2: float | None = None,
 ) -> list[str]:
     """scene.xml and mitsuba_light.exr, which lies beside it.
 
-    ``lamps`` beside the ``environment`` are directional emitters, which have no width.
+    ``lamps`` beside the ``environment`` are directional emitters, which have no width. The
+    texture's header has ``cd_per_m2``, the luminance of a radiance of 1.
     """
-    write_environment_map(folder / MITSUBA_TEXTURE, environment, convention="mitsuba")
+    write_environment_map(
+        folder / MITSUBA_TEXTURE, environment, convention="mitsuba", header=_unit(cd_per_m2)
+    )
     emitters = [_emitter(number, lamp) for number, lamp in enumerate(lamps, start=1)]
     scene = _SCENE.replace("LAMPS", "".join(emitters))
     with atomic_path(folder / SCENE) as temporary:
         temporary.write_text(scene, encoding="utf-8")
     return [SCENE, MITSUBA_TEXTURE]
+
+
+def _unit(cd_per_m2: float | None) -> dict[str, object]:
+    return {} if cd_per_m2 is None else {"whiteLuminance": cd_per_m2}
 
 
 def _emitter(number: int, lamp: Lamp) -> str:
@@ -99,6 +110,7 @@ def _emitter(number: int, lamp: Lamp) -> str:
 LAYER, USD_TEXTURE = "light.usda", "usd_light.exr"
 _HEAD = """#usda 1.0
 (
+    UNIT
     defaultPrim = "Light"
     doc = "Light by skylight: right-handed, +Y up, the camera of the picture looked along -Z"
     metersPerUnit = 1
@@ -118,20 +130,32 @@ _DOME = f"""
 """
 
 
-def write_usd(folder: Path, environment: EnvironmentMap, lamps: Sequence[Lamp] = ()) -> list[str]:
+def write_usd(
+    folder: Path,
+    environment: EnvironmentMap,
+    lamps: Sequence[Lamp] = (),
+    *,
+    cd_per_m2: float | None = None,
+) -> list[str]:
     """light.usda and usd_light.exr, which lies beside it and is turned the way OpenEXR says.
 
     The default prim is the dome; with ``lamps`` beside the ``environment``, it is an Xform of the
-    dome and a DistantLight for each lamp.
+    dome and a DistantLight for each lamp. ``cd_per_m2``, the luminance of a radiance of 1, is in
+    the texture's header and the layer's ``customLayerData``.
     """
-    write_environment_map(folder / USD_TEXTURE, environment, convention="openexr")
+    write_environment_map(
+        folder / USD_TEXTURE, environment, convention="openexr", header=_unit(cd_per_m2)
+    )
     prims = 'def DomeLight "Light"' + _DOME
     if lamps:
         inside = ['def DomeLight "Rest"' + _DOME]
         inside += [_distant(number, lamp) for number, lamp in enumerate(lamps, start=1)]
         prims = 'def Xform "Light"\n{\n' + "\n".join(map(_indented, inside)) + "}\n"
+    told = ""
+    if cd_per_m2 is not None:
+        told = f"    customLayerData = {{\n        double cd_per_m2 = {cd_per_m2:.9g}\n    }}\n"
     with atomic_path(folder / LAYER) as temporary:
-        temporary.write_text(_HEAD + prims, encoding="utf-8")
+        temporary.write_text(_HEAD.replace("    UNIT\n", told) + prims, encoding="utf-8")
     return [LAYER, USD_TEXTURE]
 
 

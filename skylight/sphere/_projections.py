@@ -203,29 +203,22 @@ def to_latlong(
     return EnvironmentMap(radiance=_averaged("latlong", size, per_pixel, value).to(picture))
 
 
-def horizontal_cross(picture: Float[Tensor, "h w 3"]) -> Float[Tensor, "r c 3"]:
-    """A cross of a cube's faces as :func:`to_latlong` reads it: one that lies, or that stands.
+def turned(environment: EnvironmentMap, rotation: Float[Tensor, "3 3"]) -> EnvironmentMap:
+    """A full map turned about any axis: L'(w) = L(R^T w).
 
-    One that stands, three faces wide and four high, has +Z below -Y, turned by 180 degrees.
-
-    Raises
-    ------
-    InputError
-        A picture that is neither 4:3 nor 3:4.
+    Every pixel is the mean of 16 look-ups by solid angle, with the energy of
+    :func:`from_latlong`; about the vertical :meth:`EnvironmentMap.rotate_azimuth` is exact.
     """
-    height, width = picture.shape[:2]
-    if 3 * width == 4 * height:
-        return picture
-    size = width // 3
-    if (height, width) != (4 * size, 3 * size):
-        raise InputError(
-            f"{width}x{height} (width x height) is no cross of a cube's faces: expected 4:3 (it "
-            "lies) or 3:4 (it stands), of square faces"
-        )
-    lying = torch.zeros(3 * size, 4 * size, 3, dtype=picture.dtype)
-    lying[:, : 3 * size] = picture[: 3 * size]
-    lying[size : 2 * size, 3 * size :] = picture[3 * size :, size : 2 * size].flip(0, 1)
-    return lying
+    if environment.is_sky:
+        raise InputError("a sky alone has no lower half: give a full lat-long map")
+    back = rotation.double()
+
+    def value(directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        places = pixel_from_direction(directions @ back, *environment.layout)  # (R^T w)^T = w^T R
+        return bilinear(environment.radiance, *places)
+
+    radiance = _averaged("latlong", environment.layout, 4, value)
+    return EnvironmentMap(radiance=radiance.to(environment.radiance))
 
 
 def _averaged(

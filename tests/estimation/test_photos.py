@@ -24,12 +24,14 @@ from skylight.estimation._folder import estimate_folder
 from skylight.estimation._photos import Pictures, estimate
 from skylight.estimation._report import write_results
 from skylight.estimation._settings import EstimateSettings
-from skylight.estimation._summary import PhotoEstimate, describe
+from skylight.estimation._summary import PhotoEstimate, describe, summary
 from skylight.faces._fit import camera_project
 from skylight.faces._model import HeadModel
 from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.imaging._colour import srgb_to_linear
+from skylight.imaging._exposure import CameraExposure
 from skylight.imaging._photo import photo_from_codes, read_photo
+from skylight.io._files import read_environment_map
 from skylight.io._hdr import write_exr
 from skylight.skies._sun import Place, sun_angles
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -114,6 +116,28 @@ def test_exif_data_tell_of_the_sun_and_results_not_of_the_place(
     with Image.open(tmp_path / "report.png") as report:
         assert not report.getexif()
         assert not [word for word in PRIVATE if word in str(report.info)]
+
+
+def test_the_maps_unit_is_told_in_candela_where_the_camera_tells(
+    found: PhotoEstimate, tmp_path: Path
+) -> None:
+    assert describe(found, keep_place=False)["luminance"] is None
+    assert "unit        unknown: the photograph's data lack" in summary(found)
+    exposure = CameraExposure(seconds=1 / 125, aperture=4.0, iso=200.0)
+    exposed = replace(found, photos=(replace(found.photos[0], camera_exposure=exposure),))
+    assert "unit        1 in the map is about 690 cd/m², within a stop" in summary(exposed)
+    write_results(tmp_path, exposed)
+    value = 12.5 * 16 * 125 / 200 / 0.18
+    unit = told(tmp_path)["luminance"]
+    assert unit["cd_per_m2"] == pytest.approx(value)
+    assert unit["uncertainty_stops"] == 1
+    header = OpenEXR.File(str(tmp_path / "probe.exr")).header()
+    assert header["whiteLuminance"] == pytest.approx(value)
+    settings = [header[name] for name in ("expTime", "aperture", "isoSpeed")]
+    assert settings == pytest.approx([1 / 125, 4, 200])
+    # the map's own scale is as it was
+    after = read_environment_map(tmp_path / "probe.exr").radiance
+    assert torch.equal(after, found.probe.radiance)
 
 
 def leaves(content: Any) -> Iterator[Any]:

@@ -1,5 +1,6 @@
 """Where, when and whether with a flash: photographs with EXIF data that Pillow writes."""
 
+import math
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from PIL import ExifTags, Image
 
 from skylight.errors import InputError
 from skylight.imaging._capture_metadata import CaptureMetadata
+from skylight.imaging._exposure import UNCERTAINTY_STOPS, CameraExposure
 from skylight.imaging._photo import Photo, read_photo
 
 CLOCK = {"DateTimeOriginal": "2024:06:01 14:30:00"}
@@ -69,6 +71,25 @@ def test_how_bright_the_scene_was(
     assert found == (value if value is None else pytest.approx(value, abs=0.01))
     del tags["ISOSpeedRatings"]
     assert photo(tmp_path, **tags).exposure_value is None
+
+
+def test_a_pixel_value_stands_for_a_luminance(tmp_path: Path) -> None:
+    """ISO 2720's law by numbers, and physics: the sun at noon gives about 100,000 lux.
+
+    Exposed by sunny 16, a white diffuse surface in it, 100,000 / pi cd/m^2, then is near white.
+    """
+    found = photo(tmp_path, ExposureTime=1 / 50, FNumber=2.8, ISOSpeedRatings=400)
+    assert found.camera_exposure is not None
+    metered = 12.5 * 2.8**2 * 50 / 400  # what a meter with K = 12.5 calls for these settings
+    assert 0.18 * found.camera_exposure.cd_per_m2 == pytest.approx(metered)
+    sunny = CameraExposure(seconds=1 / 100, aperture=16.0, iso=100.0)
+    white = 100_000 / math.pi / sunny.cd_per_m2
+    assert abs(math.log2(white)) < UNCERTAINTY_STOPS
+    # twice the time shows half the luminance at a value; a stop of aperture does too
+    longer = CameraExposure(seconds=1 / 50, aperture=16.0, iso=100.0)
+    wider = CameraExposure(seconds=1 / 100, aperture=16 / math.sqrt(2), iso=100.0)
+    assert longer.cd_per_m2 == pytest.approx(sunny.cd_per_m2 / 2)
+    assert wider.cd_per_m2 == pytest.approx(sunny.cd_per_m2 / 2)
 
 
 def test_clock_with_its_zone(tmp_path: Path) -> None:

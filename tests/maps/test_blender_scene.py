@@ -112,6 +112,13 @@ def test_the_numbers_are_the_estimates(estimate: Path) -> None:
         assert np.array_equal(np.array(shown), np.array(was))
 
 
+def test_the_lights_unit_is_told_where_it_is_known(estimate: Path) -> None:
+    assert export(estimate)[0]["cd_per_m2"] is None
+    content = json.loads((estimate / "estimate.json").read_text())
+    write_json(estimate / "estimate.json", content | {"luminance": {"cd_per_m2": 320.0}})
+    assert export(estimate)[0]["cd_per_m2"] == 320
+
+
 def test_the_photograph_is_upright_and_may_have_moved(estimate: Path) -> None:
     turned = estimate.parent / "elsewhere.png"
     with Image.open(estimate.parent / "photo.png") as image:

@@ -1,5 +1,6 @@
 """Maps of light converted by the command, and what it refuses."""
 
+import math
 from pathlib import Path
 from typing import get_args
 
@@ -7,9 +8,14 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
 
-from skylight._names import Convention
+from skylight._names import Convention, MapLayout
 from skylight.cli import main
+from skylight.imaging._preview import preview
+from skylight.io._exr import white_luminance
 from skylight.io._files import (
     read_environment_map,
     read_light,
@@ -17,6 +23,12 @@ from skylight.io._files import (
     write_light,
 )
 from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import (
+    DirectionGrid,
+    angle_between,
+    angles_from_direction,
+    direction_from_angles,
+)
 from skylight.sphere._projections import looks
 
 
@@ -33,16 +45,109 @@ def test_conventions_come_back_exactly(probe: Path, tmp_path: Path, convention: 
     assert column == centres.get(convention, 12)
 
 
-@pytest.mark.parametrize("kind", ["cube", "octahedral", "angular", "mirrorball"])
+@pytest.mark.parametrize("kind", [name for name in get_args(MapLayout) if name != "latlong"])
 def test_projections_keep_light_and_sun(probe: Path, tmp_path: Path, kind: str) -> None:
     there, back = tmp_path / "there.exr", tmp_path / "back.exr"
-    size = ["--height", "192"]
+    if kind == "cube-faces":
+        there = tmp_path / "face_{}.exr"
+    # 64 pixels a face
+    size = ["--height", {"cube-vertical": "256", "cube-column": "384"}.get(kind, "192")]
+    if kind in ("cube-row", "cube-faces"):
+        size = ["--height", "64"]
     assert main(["convert", str(probe), str(there), "--to", kind, *size]) == 0
     assert main(["convert", str(there), str(back), "--from", kind]) == 0
     before, after = read_environment_map(probe), read_environment_map(back)
     torch.testing.assert_close(after.integrate(), before.integrate(), rtol=0.1, atol=0)
     cosine = before.brightest_direction().double() @ after.brightest_direction().double()
     assert float(cosine) > 0.99
+
+
+def sun_of(path: Path) -> Float[Tensor, "3"]:
+    return read_environment_map(path).brightest_direction(below=True).double()
+
+
+def test_light_turns_to_the_right_and_keeps_its_energy(probe: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.exr"
+    before = read_environment_map(probe)
+    azimuth, zenith = angles_from_direction(sun_of(probe))
+    for turn in (90.0, 33.0, -170.0):
+        assert main(["convert", str(probe), str(out), "--rotate", str(turn)]) == 0
+        after = read_environment_map(out)
+        expected = direction_from_angles(azimuth + math.radians(turn), zenith)
+        assert float(angle_between(sun_of(out), expected)) < math.radians(1.5)
+        torch.testing.assert_close(after.integrate(), before.integrate(), rtol=1e-5, atol=0)
+    assert main(["convert", str(probe), str(out), "--rotate", "90"]) == 0
+    assert torch.equal(read_light(out), read_light(probe).roll(8, 1))
+
+
+@pytest.mark.parametrize(
+    ("options", "before", "after"),
+    [
+        (["--pitch", "30"], (0, 0, -1), (0, 0.5, -math.sqrt(0.75))),  # ahead: up
+        (["--roll", "30"], (0, 1, 0), (0.5, math.sqrt(0.75), 0)),  # above: to the right
+        (["--roll", "30"], (0, 0, -1), (0, 0, -1)),
+        # rolled first, then pitched, then turned
+        (["--rotate", "90", "--pitch", "90", "--roll", "90"], (0, 1, 0), (0, 0, 1)),
+        (["--rotate", "90", "--pitch", "90", "--roll", "90"], (0, 0, -1), (0, 1, 0)),
+    ],
+)
+def test_light_turns_about_any_axis(
+    tmp_path: Path, options: list[str], before: tuple[float, ...], after: tuple[float, ...]
+) -> None:
+    source, out = tmp_path / "in.exr", tmp_path / "out.exr"
+    grid = DirectionGrid.latlong(64)
+    towards = torch.tensor(before, dtype=torch.float64)
+    lobe = 50 * torch.exp(400 * (grid.directions @ towards - 1))
+    light = EnvironmentMap(radiance=(0.2 + lobe)[:, None].expand(-1, 3).reshape(64, 128, 3).float())
+    write_environment_map(source, light)
+    assert main(["convert", str(source), str(out), *options]) == 0
+    expected = torch.tensor(after, dtype=torch.float64)
+    turned = read_environment_map(out)
+    seen = turned.mean_direction(upper_only=False)
+    assert float(angle_between(seen, expected)) < math.radians(0.5)
+    torch.testing.assert_close(turned.integrate(), light.integrate(), rtol=0.01, atol=0)
+
+
+def test_a_sun_of_one_pixel_keeps_its_energy_when_pitched(probe: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.exr"
+    before = read_environment_map(probe).integrate()
+    for pitch in (-70, -20, 15, 40, 160):
+        assert main(["convert", str(probe), str(out), "--pitch", str(pitch)]) == 0
+        after = read_environment_map(out).integrate()
+        torch.testing.assert_close(after, before, rtol=0.1, atol=0)
+
+
+def test_scale_and_stops_multiply(probe: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.exr"
+    assert main(["convert", str(probe), str(out), "--scale", "3", "--ev", "-1"]) == 0
+    torch.testing.assert_close(read_light(out), 1.5 * read_light(probe))
+
+
+def test_what_a_map_says_of_its_unit_stays_true(probe: Path, tmp_path: Path) -> None:
+    source, out = tmp_path / "lit.exr", tmp_path / "out.exr"
+    write_environment_map(source, read_environment_map(probe), header={"whiteLuminance": 300.0})
+    for kind in ("latlong", "cube-row"):
+        assert main(["convert", str(source), str(out), "--to", kind, "--ev", "1"]) == 0
+        assert white_luminance(out) == pytest.approx(150)
+    assert main(["convert", str(probe), str(out)]) == 0
+    assert white_luminance(out) is None
+
+
+@pytest.mark.parametrize(("kind", "shape"), [("latlong", (16, 32)), ("cube-faces", (6, 36))])
+def test_a_preview_shows_what_was_written(
+    probe: Path, tmp_path: Path, kind: str, shape: tuple[int, int]
+) -> None:
+    out = tmp_path / ("out.exr" if kind == "latlong" else "{}.exr")
+    seen = tmp_path / "seen.png"
+    command = ["convert", str(probe), str(out), "--to", kind, "--preview", str(seen)]
+    assert main([*command, "--height", str(shape[0])]) == 0
+    with Image.open(seen) as image:
+        codes = np.asarray(image)
+    assert codes.shape == (*shape, 3)
+    if kind == "latlong":
+        assert np.array_equal(codes, preview(read_light(out)))
+    else:  # the sun, above on the right, on the second of the six
+        assert 1 <= codes.min(2).max(0).argmax() / 6 < 2
 
 
 def test_a_sky_gets_a_dark_half_and_a_size_can_be_chosen(tmp_path: Path) -> None:
@@ -64,6 +169,12 @@ def test_a_sky_gets_a_dark_half_and_a_size_can_be_chosen(tmp_path: Path) -> None
     [
         (["--to", "cube", "--convention", "unity"], "leave it out for cube"),
         (["--to", "cube", "--height", "64"], "cube cannot have 64 rows"),
+        (["--to", "cube-column", "--height", "64"], "cube-column cannot have 64 rows"),
+        (["--from", "cube-row"], "six times as wide as high"),
+        (["--rotate", "400"], "-360 to 360 degrees"),
+        (["--scale", "0"], "a number above 0"),
+        (["--ev", "100"], "stops from -60 to 60"),
+        (["--preview", "seen.jpg"], "ends in .png"),
         (["--from", "cube"], "32x16 (width x height) is no cross"),
         (["--from", "angular"], "has 16 columns, not 32"),
         (["--height", "7"], "even number of rows"),

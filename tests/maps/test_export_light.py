@@ -1,6 +1,8 @@
 """``skylight export light``: what it writes and what it refuses."""
 
+import ast
 import json
+import math
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import get_args
@@ -12,14 +14,16 @@ from skylight._figures import describe_lamps
 from skylight._names import LightTarget
 from skylight.cli import main
 from skylight.io._bounded import write_json
+from skylight.io._exr import white_luminance
 from skylight.io._files import read_environment_map, read_light, write_environment_map
 from skylight.maps._estimated import read_light as read_given
 from skylight.maps._export import default_face
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._frame import convert_latlong
+from skylight.sphere._frame import angle_between, convert_latlong, direction_from_angles
 from skylight.sphere._harmonics import project, to_convention
 from skylight.sphere._projections import FACES
 from tests.lamp_lit import lamp_lit, lamp_params
+from tests.relight.test_light_files import read_glb
 
 
 def test_all_targets_at_once(probe: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -84,6 +88,88 @@ def test_a_file_that_is_no_map_is_told(tmp_path: Path, capsys: pytest.CaptureFix
     assert "there is no such file" in capsys.readouterr().err
 
 
+# the lamps of any map
+
+
+@pytest.fixture
+def sunny(tmp_path: Path) -> Path:
+    """A map with a sun of irradiance 9 at azimuth 50, zenith 40 in an even sky."""
+    towards = direction_from_angles(*torch.tensor([50.0, 40.0]).deg2rad().double())
+    sky = EnvironmentMap(radiance=torch.full((64, 128, 3), 0.5))
+    lit = sky.with_light(towards, torch.tensor([9.0, 8.0, 7.0]))
+    write_environment_map(tmp_path / "sunny.exr", lit)
+    return tmp_path / "sunny.exr"
+
+
+def test_a_maps_sun_becomes_a_light_of_each_program(
+    sunny: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = sunny.parent / "out"
+    command = ["export", "light", str(sunny), str(out), "--lamps", "2"]
+    assert main([*command, "--as", "mitsuba", "threejs", "usd", "gltf", "ar"]) == 0
+    told = capsys.readouterr()
+    assert "not in the map: 1" in told.out
+    assert "azimuth 50.0, zenith 40.0 degrees, 0.53 degrees wide, irradiance 9" in told.out
+    emitter = ElementTree.parse(out / "scene.xml").getroot().find("emitter[@type='directional']")
+    assert emitter is not None
+    assert "irradiance" in ElementTree.tostring(emitter, encoding="unicode")
+    for name, convention in (
+        ("mitsuba_light.exr", "mitsuba"),
+        ("usd_light.exr", "openexr"),
+        ("threejs_light.hdr", "threejs"),
+    ):
+        rest = read_environment_map(out / name, convention=convention)
+        torch.testing.assert_close(rest.radiance, torch.full((64, 128, 3), 0.5), rtol=5e-3, atol=0)
+    assert "DistantLight" in (out / "light.usda").read_text(encoding="utf-8")
+    probe = json.loads((out / "lightprobe.json").read_text(encoding="utf-8"))
+    assert [child["type"] for child in probe["object"]["children"]][1:] == ["DirectionalLight"]
+    assert json.loads((out / "ar_light.json").read_text(encoding="utf-8"))  # all light
+
+
+@pytest.mark.parametrize("convention", ["skylight", "blender"])
+def test_blender_gets_a_sun_that_stands_where_the_map_shows_it(
+    sunny: Path, convention: str
+) -> None:
+    out = sunny.parent / "out"
+    source = sunny.parent / "turned.exr"
+    write_environment_map(source, read_environment_map(sunny), convention=convention)
+    command = ["export", "blender", str(source), str(out), "--from-convention", convention]
+    assert main(command) == 0
+    script = (out / "load_light.py").read_text(encoding="utf-8")
+    ((name, towards, colour, energy, angle),) = ast.literal_eval(
+        script[script.index("LAMPS = [") + 8 : script.index("]\nfor name")] + "]"
+    )
+    assert name == "lamp 1"
+    x, y, z = towards
+    expected = direction_from_angles(*torch.tensor([50.0, 40.0]).deg2rad().double())
+    seen = torch.tensor([x, z, -y], dtype=torch.float64)
+    assert math.degrees(float(angle_between(seen, expected))) < 0.5
+    torch.testing.assert_close(
+        energy * torch.tensor(colour), torch.tensor([9.0, 8.0, 7.0]), rtol=0.01, atol=0
+    )
+    assert math.degrees(angle) == pytest.approx(0.533, abs=0.01)
+    rest = read_environment_map(out / "blender_light.hdr", convention="blender")
+    assert float(rest.radiance.max()) < 0.51
+
+
+def test_what_lamps_cannot_be_taken_is_told(
+    sunny: Path, estimate: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(sunny.parent / "out")
+    for command, message in (
+        (["light", str(sunny), out, "--as", "usd", "--lamps", "-1"], "0 to 8 lamps"),
+        (["light", str(estimate), out, "--as", "usd", "--lamps", "1"], "leave --lamps out"),
+        (["blender", str(estimate), out, "--lamps", "1"], "are of maps"),
+        (["blender", str(sunny), out, "--photo", "me.jpg"], "leave --photo out"),
+    ):
+        assert main(["export", *command]) == 2
+        assert message in capsys.readouterr().err
+    even = sunny.parent / "even.exr"
+    write_environment_map(even, EnvironmentMap(radiance=torch.ones(16, 32, 3)))
+    assert main(["export", "blender", str(even), out]) == 0
+    assert "no compact light in the map: it is whole" in capsys.readouterr().out
+
+
 # estimates
 
 
@@ -97,6 +183,44 @@ def estimate(tmp_path: Path) -> Path:
     content = {"light": "lamps", "lamps": describe_lamps(lamps)}
     write_json(folder / "estimate.json", content)
     return folder
+
+
+@pytest.mark.parametrize("is_map", [True, False])
+def test_the_unit_in_candela_goes_into_every_file(estimate: Path, is_map: bool) -> None:
+    given = estimate
+    if is_map:
+        given = estimate.parent / "map.exr"
+        light = read_environment_map(estimate / "probe.exr")
+        write_environment_map(given, light, header={"whiteLuminance": 250.0})
+    else:
+        rewrite(estimate, luminance={"cd_per_m2": 250.0, "uncertainty_stops": 1})
+    out = estimate.parent / "out"
+    assert main(["export", "light", str(given), str(out), "--as", *get_args(LightTarget)]) == 0
+    for name in ("sh27.json", "ar_light.json"):
+        assert json.loads((out / name).read_text(encoding="utf-8"))["cd_per_m2"] == 250
+    three = json.loads((out / "lightprobe.json").read_text(encoding="utf-8"))
+    assert three["object"]["userData"] == {"cd_per_m2": 250}
+    tree, _ = read_glb(out / "light.glb")
+    assert tree["asset"]["extras"] == {"cd_per_m2": 250}
+    assert "double cd_per_m2 = 250\n" in (out / "light.usda").read_text(encoding="utf-8")
+    for name in ("usd_light.exr", "mitsuba_light.exr"):
+        assert white_luminance(out / name) == 250
+    assert 'world["cd_per_m2"] = 250 ' in (out / "load_light.py").read_text(encoding="utf-8")
+    ast.parse((out / "load_light.py").read_text(encoding="utf-8"))
+
+
+def test_an_unknown_unit_is_none(estimate: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = estimate.parent / "out"
+    command = ["export", "light", str(estimate), str(out), "--as", "sh", "usd", "blender"]
+    assert main(command) == 0
+    assert json.loads((out / "sh27.json").read_text(encoding="utf-8"))["cd_per_m2"] is None
+    assert white_luminance(out / "usd_light.exr") is None
+    assert "UNIT" not in (out / "light.usda").read_text(encoding="utf-8")
+    assert "cd_per_m2" not in (out / "load_light.py").read_text(encoding="utf-8")
+    for wrong in ({"cd_per_m2": -1.0}, {"cd_per_m2": "bright"}, {}):
+        rewrite(estimate, luminance=wrong)
+        assert main(command) == 2
+        assert "estimate the photograph again" in capsys.readouterr().err
 
 
 def rewrite(folder: Path, **changed: object) -> None:
