@@ -185,7 +185,7 @@ def test_a_photo_that_the_studio_has_forgotten_is_asked_for(show: Callable[..., 
     page.get_by_role("button", name="Choose a photo").wait_for()
 
 
-def test_the_time_that_is_left_is_told(show: Callable[..., "Page"]) -> None:
+def test_time_left_is_told_and_a_reload_goes_on_with_the_work(show: Callable[..., "Page"]) -> None:
     page = show(LIGHT)
     page.get_by_role("tab", name="Photo").click()
     told = {"job": "it", "kind": "estimate", "state": "running"}
@@ -198,7 +198,11 @@ def test_the_time_that_is_left_is_told(show: Callable[..., "Page"]) -> None:
     expect(page.get_by_role("tabpanel", name="Photo").locator(".job .left")).to_have_text(
         re.compile("^(nearly done|about [0-9]+ s left)$")
     )
-    page.get_by_role("button", name="Cancel").click()
+    page.unroute("**/events")  # it ends while the page is loaded again
+    page.reload()
+    lights = page.get_by_label("Light shown").locator("option")
+    expect(lights).to_have_text(["Any place, all round", "Any place, all round (2)"])
+    expect(page.get_by_role("heading", name="Hard light from the left")).to_be_focused()
 
 
 def test_the_lab_has_what_is_beside_light_from_faces(new_page: Callable[..., "Page"]) -> None:
