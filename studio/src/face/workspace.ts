@@ -95,6 +95,7 @@ export function workspace(photo: Photo, another: HTMLElement, closed: () => void
       element.dataset.tab = tab;
       updateSession({ tab });
       placeLight();
+      scrollTo(0, 0); // on a phone the last one may have been scrolled
       if (tab === "portrait") shown()?.relit.open();
     },
   );
