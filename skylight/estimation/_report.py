@@ -350,21 +350,39 @@ def _light(area: "Figure | SubFigure", cells: "GridSpecBase", result: PhotoEstim
     write_numbers(area.add_subplot(cells[:, 2]), "In numbers", rows, pitch=pitch)
 
 
+# What the terms of the objective ask of an estimate: the higher, the less likely.
+TERMS = {
+    "data": "the face as it is lit",
+    "background": "what stands behind it",
+    "light_prior": "such light",
+    "ground_prior": "such ground",
+    "sun_prior": "a sun there, by clock and place",
+    "albedo_prior": "skin of such colour",
+    "gloss_prior": "skin as shiny",
+    "pigment_prior": "skin as uneven",
+    "normal_prior": "a face of such shape",
+    "white_balance_prior": "such white balance",
+    "edit_prior": "such an edit",
+}
+
+
 def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
     estimate, fit = result.estimate, result.fit
     azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
     rows = [
         (main_light(estimate), ""),
         (f"   {place(estimate.sun_direction)}", ""),
-        ("   azimuth, right of ahead", f"{azimuth_deg:+.0f}°"),
-        ("   zenith angle", f"{zenith_deg:.0f}°"),
+        ("   right of where the camera looks", f"{azimuth_deg:+.0f}°"),
+        ("   above the horizon", f"{90 - zenith_deg:+.0f}°"),
     ]
-    ground = [("ground albedo", rgb(estimate.ground_albedo))] if has_ground(estimate) else []
+    ground = (
+        [("ground colour (albedo)", rgb(estimate.ground_albedo))] if has_ground(estimate) else []
+    )
     if len(result.seen) == 1:
         rows += [
-            ("skin albedo", rgb(estimate.albedo)),
+            ("skin colour (albedo)", rgb(estimate.albedo)),
             *ground,
-            ("mean residual", f"{100 * estimate.faces[0].residual:.0f} %"),
+            ("re-rendered face off by", f"{100 * estimate.faces[0].residual:.0f} %"),
             ("pixels used", f"{len(result.view.blocks)}"),
             ("landmarks off, of eye distance", f"{100 * fit.landmark_error:.1f} %"),
             ("face turned by", f"{math.degrees(fit.facing_angle_rad):.0f}°"),
@@ -373,16 +391,16 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
         rows += [
             *ground,
             *(
-                (f"skin albedo of face {number}", rgb(face.albedo))
+                (f"skin colour of face {number}", rgb(face.albedo))
                 for number, face in enumerate(estimate.faces, start=1)
             ),
         ]
     terms = estimate.terms.items()
     return [
         *rows,
-        ("optimisation", estimate.status),
-        *((f"   {name.replace('_', ' ')}, nats", f"{value:.1f}") for name, value in terms),
-        ("seconds", f"{sum(result.seconds.values()):.1f}"),
+        ("found in", f"{sum(result.seconds.values()):.0f} s, {estimate.status}"),
+        ("details: how unlikely (nats)", ""),
+        *((f"   {TERMS.get(name, name)}", f"{value:.1f}") for name, value in terms),
     ]
 
 

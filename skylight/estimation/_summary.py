@@ -208,7 +208,7 @@ def draw_region(axes: "Axes", posterior: SunPosterior, height: int) -> None:
 
 def main_light(estimate: Estimate) -> str:
     """What to call the direction that is told first."""
-    return "main light" if estimate.posterior.is_seen else "brightest"
+    return "main light" if estimate.posterior.is_seen else "most light"
 
 
 def has_ground(estimate: Estimate) -> bool:

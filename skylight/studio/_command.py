@@ -16,8 +16,8 @@ def studio(
 ) -> None:
     """Open a page in the browser that finds light in photos and shows it; Ctrl-C ends it.
 
-    Everything stays on this machine. Uploads and results are forgotten when it ends: download
-    what you want to keep.
+    Everything stays on this machine. Photos and results are forgotten when you close them, or
+    when it ends: download what you want to keep.
 
     Args:
         host: Address to listen at; 0.0.0.0 lets other machines in, which nothing else protects.

@@ -23,10 +23,10 @@ PLACES: dict[Place, str] = {
     "flash": "Flash on the camera",
 }
 DICTIONARIES: dict[BuiltinName, str] = {
-    "ani": "Anisotropic Gaussians",
-    "iso": "Isotropic Gaussians",
-    "vmf": "Lobes of one width",
-    "box": "Anisotropic Gaussians and boxes",
+    "ani": "Soft patches, round or long",
+    "iso": "Soft round patches",
+    "vmf": "Soft round patches of one width",
+    "box": "Soft patches and sharp panels",
 }
 
 Token = Annotated[str, Field(max_length=64)]

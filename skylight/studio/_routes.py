@@ -244,6 +244,18 @@ async def preview(request: Request, token: str) -> KeptFile:
     return KeptFile(photos, photo, photo.preview, media_type="image/jpeg")
 
 
+@uploads.delete("/photos/{token}")
+async def forget_photo(request: Request, token: str) -> Response:
+    """With its preview; what works on it is stopped."""
+    studio = _studio(request)
+    photo = studio.photos.get(token)
+    for job in studio.jobs.kept:
+        if photo.id in job.uses:
+            studio.jobs.cancel(job)
+    studio.photos.forget(photo)
+    return Response(status_code=204)
+
+
 @uploads.post("/maps")
 async def take_map(request: Request, name: str = "") -> JSONResponse:
     """An .exr or .hdr lat-long map as the raw body."""

@@ -266,6 +266,11 @@ export function forgetJob(id: string): void {
   void fetch(`/api/jobs/${id}`, { method: "DELETE", keepalive: true }).catch(() => {});
 }
 
+/** Has the server forget a photo. Silent, too. */
+export function forgetPhoto(photo: string): void {
+  void fetch(`/api/photos/${photo}`, { method: "DELETE", keepalive: true }).catch(() => {});
+}
+
 export const fileUrl = (job: string, name: string): string =>
   `/api/jobs/${job}/files/${encodeURIComponent(name)}`;
 /** A file of an estimate under its lamps as they are now; they are in its order. */

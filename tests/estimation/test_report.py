@@ -109,14 +109,14 @@ def test_the_numbers_are_the_estimates(figure: Figure, result: PhotoEstimate) ->
     told = [text.get_text() for text in panel(figure, "In numbers").texts]
     numbers = dict(zip(told[::2], told[1::2], strict=True))
     azimuth, zenith = ((COLUMN + 0.5) / 128 - 0.5) * 360, (ROW + 0.5) / 64 * 180
-    assert numbers["   azimuth, right of ahead"] == f"{azimuth:+.0f}°"
-    assert numbers["   zenith angle"] == f"{zenith:.0f}°"
+    assert numbers["   right of where the camera looks"] == f"{azimuth:+.0f}°"
+    assert numbers["   above the horizon"] == f"{90 - zenith:+.0f}°"
     assert numbers["main light"] == ""
     assert "   from the right" in numbers
     red, green, blue = result.estimate.albedo.tolist()
-    assert numbers["skin albedo"].split() == [f"{red:.2f}", f"{green:.2f}", f"{blue:.2f}"]
+    assert numbers["skin colour (albedo)"].split() == [f"{red:.2f}", f"{green:.2f}", f"{blue:.2f}"]
     residual = result.estimate.faces[0].residual
-    assert numbers["mean residual"] == f"{math.floor(100 * residual + 0.5)} %"
+    assert numbers["re-rendered face off by"] == f"{math.floor(100 * residual + 0.5)} %"
 
 
 def test_the_residual_is_relative_and_leaves_kept_bounds_out(

@@ -240,3 +240,17 @@ def test_a_code_tells_of_each_activation(client: httpx.Client, tmp_path: Path) -
     (tmp_path / "decoded.exr").write_bytes(decoded)
     away = read_environment_map(tmp_path / "decoded.exr").radiance - lobe
     assert float(away.norm() / lobe.norm()) == pytest.approx(result["errors"][-1], abs=0.03)
+
+
+def test_a_photo_is_forgotten_with_what_works_on_it(
+    client: httpx.Client, served: Served, portrait: bytes
+) -> None:
+    mine = client.post("/api/photos?name=mine.jpg", content=portrait).json()["photo"]
+    with served.held():
+        job = begin(client, kind="estimate", photo=mine)
+        assert client.delete(f"/api/photos/{mine}").status_code == 204
+        assert client.get(f"/api/jobs/{job}").json()["state"] == "cancelled"
+    assert client.get(f"/api/photos/{mine}/preview.jpg").status_code == 404
+    assert client.delete(f"/api/photos/{mine}").status_code == 404
+    wanted = {"kind": "estimate", "photo": mine}
+    assert client.post("/api/jobs", json=wanted).status_code == 404

@@ -2,7 +2,6 @@
 
 import asyncio
 import random
-import re
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -14,6 +13,7 @@ from urllib.parse import urlsplit
 import httpx
 from playwright.async_api import Browser, ConsoleMessage, Page, Response, TimeoutError
 
+from skylight.studio.tasks._sky import NAMES
 from tools.load.tally import Tally
 
 PATIENCE_S = 420.0  # for a job behind three others on a busy machine
@@ -146,31 +146,34 @@ class Visitor:
         await self._open(page, "face")
         await self._upload(page, self._random.choice(self._materials.faces), "input[accept^=image]")
         light = self._random.choices(["sh9", "sh25", "sunsky", "lamps"], [6, 2, 1, 1])[0]
-        await page.locator(f"input[value={light}]").check()
-        if await self._run(page, "estimate", re.compile("Find .* light")):
-            await page.locator(".result").last.wait_for()
-            await self._slide(page, "Exposure of the views")
+        await page.get_by_role("button", name="Find the light").wait_for()  # that of this photo
+        await page.get_by_text("More", exact=True).click()
+        await page.get_by_label("Model of the light").select_option(light)
+        if await self._run(page, "estimate", "Find the light"):
+            await page.get_by_role("region", name="Verdict").wait_for()
             photo = page.get_by_label("Your photo with the object")
-            await photo.or_(page.locator(".care")).first.wait_for()
+            await photo.or_(page.locator("[role=tabpanel] .care")).first.wait_for()
             if await photo.count() == 0:
-                said = await page.locator(".care").all_inner_texts()
+                said = await page.locator("[role=tabpanel] .care").all_inner_texts()
                 raise AssertionError(f"no object stands in the photo: {said}")
             await photo.press("ArrowLeft")
+            await page.get_by_role("tab", name="Map").click()
+            await self._slide(page, "Exposure of the views")
 
     async def _look_at_the_sky(self, page: Page) -> None:
         await self._open(page, "sky")
-        await page.get_by_label("Component 1").wait_for()
-        for number in self._random.sample(range(1, 9), 3):
-            await self._slide(page, f"Component {number}")
+        await page.get_by_label(NAMES[0]).wait_for()
+        for name in self._random.sample(NAMES, 3):
+            await self._slide(page, name)
         await page.get_by_role("button", name="Random sky").click()
         self._count("skies")
 
     async def _code(self, page: Page) -> None:
         await self._open(page, "codes")
         await self._upload(page, self._materials.light, "input[accept='.exr,.hdr']")
-        await page.get_by_label("Dictionary").select_option("iso")
-        await self._slide(page, "Activations at most", least=1, most=12)
-        await self._run_and_see_files(page, "code", "Make the code")
+        await page.get_by_label("Shape of the pieces").select_option("iso")
+        await self._slide(page, "Pieces at most", least=1, most=12)
+        await self._run_and_see_files(page, "code", "Take it apart")
 
     async def _make_voxel_probe(self, page: Page) -> None:
         await self._make_probe(page, "voxel")
@@ -245,7 +248,7 @@ class Visitor:
         if await self._run(page, kind, button):
             await page.get_by_role("heading", name="Files").wait_for()
 
-    async def _run(self, page: Page, kind: str, button: str | re.Pattern[str]) -> bool:
+    async def _run(self, page: Page, kind: str, button: str) -> bool:
         """Has a job done, or leaves it on the way; whether it was done."""
         job = await self._begun(page, button)
         self._count(f"jobs_{kind}")
@@ -261,7 +264,7 @@ class Visitor:
             await self._leave(page, job)
         return False
 
-    async def _begun(self, page: Page, button: str | re.Pattern[str]) -> str:
+    async def _begun(self, page: Page, button: str) -> str:
         """The id of the job, once there is room for it."""
         refused_until = time.monotonic() + PATIENCE_S
         while True:

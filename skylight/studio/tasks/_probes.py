@@ -1,5 +1,6 @@
 """Printing of voxel and partition probes, and what they would show under a light."""
 
+import re
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -197,18 +198,32 @@ def describe_designs(*, tell: StageProgress) -> dict[str, Any]:
     designs = {name: named_design(name) for name in design_names()}
     return {
         "voxel": [
-            {"probe": size, "title": f"{size}-probe, {what}"} for size, what in STARS.items()
+            {"probe": size, "title": f"{what.capitalize()}, {size} wide"}
+            for size, what in STARS.items()
         ],
         "partitions": [
             {
                 "name": name,
-                "title": f"{name}, {design.count} cells",
+                "title": title_of(name, design.count),
                 "cells": design.count,
                 "size_mm": size_of(name),
             }
             for name, design in designs.items()
         ],
     }
+
+
+def title_of(design: str, count: int) -> str:
+    """What a named design is, for people who never saw its name."""
+    if design == "14d-indoor":
+        return f"{count} cells, small above, for rooms"
+    if design == "14d-outdoor":
+        return f"{count} cells, small along the sun's path"
+    if path := re.fullmatch(r"(\d+)d(-tilted)?-sun-(\d+)", design):
+        base, tilted, along = path.groups()
+        leaning = "a leaning path of the sun" if tilted else "the sun's path"
+        return f"{count} cells: {base} all around, {along} along {leaning}"
+    return f"{count} cells, even all around"
 
 
 def size_of(design: str) -> float:

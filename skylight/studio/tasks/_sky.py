@@ -24,7 +24,19 @@ from skylight.models.autoencoder import AutoencoderLight
 from skylight.relight._runtime import GROUND_ALBEDO
 from skylight.work._progress import StageProgress
 
-COMPONENTS = 8
+# What each does to a sky when it is raised, the others at the mean, in words for sliders: of the
+# shipped decoder, whose skies at -2 and 2 standard deviations tests/studio/tasks/test_sky.py
+# measures.
+NAMES = (
+    "Clouds over the sun",
+    "Lower, redder sun",
+    "Bluer sky",
+    "Warmer, smoother sky",
+    "Evening sun",
+    "Brighter overhead",
+    "More even all round",
+    "Brighter right of the sun",
+)
 
 
 def latent_moments(
@@ -46,20 +58,21 @@ def describe_sky(*, tell: StageProgress) -> dict[str, Any]:
 
     ``components`` (8, 64) are unit vectors among the decoder's latents, so that
     ``mean + sum_i a_i sigmas_i components_i`` with a_i from -2 to 2 are likely skies. ``shares``
-    are those of the trace of the covariance. A component's sign is arbitrary; here its largest
-    entry is positive.
+    are those of the trace of the covariance, ``names`` say what they do (:data:`NAMES`). A
+    component's sign is arbitrary; here its largest entry is positive.
     """
     tell("finding the main components", 0.0)
     bundle = load_bundle()
     mean, covariance = latent_moments(bundle.light(), bundle.latent_prior)
     variances, axes = torch.linalg.eigh(covariance)
-    variances, axes = variances.flip(0)[:COMPONENTS], axes.flip(1).T[:COMPONENTS]
+    variances, axes = variances.flip(0)[: len(NAMES)], axes.flip(1).T[: len(NAMES)]
     largest = axes.gather(1, axes.abs().argmax(1, keepdim=True))
     return {
         "components": (axes * largest.sign()).tolist(),
         "sigmas": variances.sqrt().tolist(),
         "mean": mean.tolist(),
         "shares": (variances / covariance.trace()).tolist(),
+        "names": NAMES,
         "ground_albedo": [GROUND_ALBEDO] * 3,
         "rows": HEIGHT,
         "columns": WIDTH,

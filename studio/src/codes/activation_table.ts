@@ -2,7 +2,7 @@ import { swatch, valueTable } from "../probes/value_table";
 import { adds, colourOf } from "./outlines";
 import type { Activation } from "./result";
 
-const HEADS = ["Number", "Azimuth", "Zenith angle", "Width × length", "Weight (R, G, B)", "Light"];
+const HEADS = ["Number", "Azimuth", "From straight up", "Width × length", "Strength (R, G, B)", "Light"];
 
 /** Activations with their values, for whoever cannot see the map or wants the numbers. */
 export function activationTable(activations: Activation[]): HTMLElement {
@@ -14,5 +14,5 @@ export function activationTable(activations: Activation[]): HTMLElement {
     one.weight.map((w) => w.toPrecision(3)).join(", "),
     adds(one) ? "added" : "taken away",
   ]);
-  return valueTable(`The ${activations.length} activations as a table`, HEADS, rows);
+  return valueTable(`The ${activations.length} pieces as a table`, HEADS, rows);
 }

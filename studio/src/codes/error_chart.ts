@@ -33,7 +33,7 @@ export function errorChart(counts: number[], errors: number[]): ErrorChart {
   });
   const name = node("title", { id: title });
   name.textContent =
-    `Relative error against the number of activations: from ${percent(errors[0]!)} with ` +
+    `How far off the map is, by the number of pieces: from ${percent(errors[0]!)} with ` +
     `${counts[0]} to ${percent(errors.at(-1)!)} with ${counts.at(-1)}`;
   svg.append(name);
   for (let decade = bottom; decade <= top; decade++) {
@@ -46,14 +46,14 @@ export function errorChart(counts: number[], errors: number[]): ErrorChart {
   for (let count = 1; count <= most; count *= 4)
     svg.append(text(String(count), { x: x(count), y: HEIGHT - BOTTOM + 20, "text-anchor": "middle" }));
   svg.append(
-    text("activations", { x: width - RIGHT, y: HEIGHT - 6, "text-anchor": "end" }),
+    text("pieces", { x: width - RIGHT, y: HEIGHT - 6, "text-anchor": "end" }),
     node("polyline", { points: counts.map((c, i) => `${x(c)},${y(errors[i]!)}`).join(" "), class: "curve" }),
     ...counts.map((c, i) => node("circle", { cx: x(c), cy: y(errors[i]!), r: 3, class: "dot" })),
   );
   const marker = node("line", { y1: TOP, y2: HEIGHT - BOTTOM, class: "marker" });
   svg.append(marker);
   const rows = counts.map((count, i) => [String(count), percent(errors[i]!)]);
-  const table = valueTable("The same as a table", ["Activations", "Relative error"], rows);
+  const table = valueTable("The same as a table", ["Pieces", "Off by"], rows);
   return {
     element: el("div", { class: "stack tight" }, svg as Element as HTMLElement, table),
     mark: (count) => {

@@ -1,6 +1,7 @@
 import { lampsUrl, type LampFacts, type MeasuredLamp } from "../api";
 import { alertBox } from "../shared/alert";
 import { el } from "../shared/dom";
+import type { History } from "../shared/history";
 import { newest } from "../shared/newest";
 import { loadRadianceMap, luminance, type RadianceMap } from "../shared/radiance_map";
 import "../shared/tables.css";
@@ -8,14 +9,14 @@ import { lampHandles, type MovedLamp } from "./lamp_handles";
 
 /**
  * An estimate's lamps to move and to switch: handles over `panorama`, a table, the faces in the
- * light as it is now. `shown` gets the edited map.
+ * light as it is now. `shown` gets the edited map; `bring` shows the lamps whose change is taken back.
  */
 export function lampEditor(
   job: string,
   found: MeasuredLamp[],
   { ambient_irradiance, diameters_deg }: LampFacts,
   panorama: HTMLElement,
-  shown: (map: RadianceMap) => void,
+  { shown, history, bring }: { shown: (map: RadianceMap) => void; history: History; bring: () => void },
 ): HTMLElement {
   const alert = alertBox();
   const said = el("p", { class: "visually-hidden", role: "status" });
@@ -45,7 +46,7 @@ export function lampEditor(
     link: el("a", { download: `edited_${name}` }, `edited ${name}`),
   }));
   const angles = lamps.map(() => ({ azimuth: el("td", {}), zenith: el("td", {}) }));
-  const changed = (): void => {
+  const show = (): void => {
     const url = (name: string): string => lampsUrl(job, name, lamps, ambient.on);
     for (const { name, link } of links) link.href = `${url(name)}&download=true`;
     angles.forEach(({ azimuth, zenith }, i) => {
@@ -54,11 +55,15 @@ export function lampEditor(
     });
     relight(url);
   };
+  const changed = (): void => {
+    show();
+    noted();
+  };
 
   const handles = lampHandles(panorama, lamps, changed, (line) => {
     said.textContent = line;
   });
-  const switches: HTMLInputElement[] = [];
+  const switches: { box: HTMLInputElement; what: { on: boolean } }[] = [];
   const onOff = (what: { on: boolean }, label: string): HTMLElement => {
     const box = el("input", { type: "checkbox", "aria-label": `${label} on`, checked: true });
     box.addEventListener("change", () => {
@@ -66,7 +71,7 @@ export function lampEditor(
       handles.place();
       changed();
     });
-    switches.push(box);
+    switches.push({ box, what });
     return el("td", {}, box);
   };
   const level = luminance(...ambient_irradiance);
@@ -110,18 +115,28 @@ export function lampEditor(
     ),
   );
   const reset = el("button", { type: "button" }, "Reset to the estimate");
-  reset.addEventListener("click", () => {
-    asFound().forEach((lamp, i) => Object.assign(lamps[i]!, lamp));
-    ambient.on = true;
-    for (const box of switches) box.checked = true;
+  const set = (to: MovedLamp[], isAmbient: boolean): void => {
+    to.forEach((lamp, i) => Object.assign(lamps[i]!, lamp));
+    ambient.on = isAmbient;
+    for (const { box, what } of switches) box.checked = what.on;
     handles.place();
-    changed();
+    show();
+  };
+  reset.addEventListener("click", () => {
+    set(asFound(), true);
+    noted();
   });
-  changed();
+  show();
+  const noted = history.watch(
+    `lamps ${job}`,
+    () => ({ lamps, ambient: ambient.on }),
+    (to) => set(to.lamps, to.ambient),
+    bring,
+  );
   return el(
     "section",
     { class: "stack lamps", "aria-label": "Lamps to move and switch" },
-    el("h4", {}, "Lamps"),
+    el("h2", {}, "Lamps"),
     el(
       "div",
       { class: "lamps-grid" },
@@ -135,8 +150,12 @@ export function lampEditor(
           "Drag the numbers in the panorama, or move them by the arrow keys. Red, green and blue: the irradiance of a surface that faces the lamp, in the map's units; of the ambient light, the mean over all surfaces.",
         ),
         table,
-        el("div", { class: "row" }, reset),
-        el("ul", { class: "files", "aria-label": "Edited files" }, ...links.map(({ link }) => el("li", {}, link))),
+        el(
+          "div",
+          { class: "row" },
+          reset,
+          el("ul", { class: "files", "aria-label": "Edited files" }, ...links.map(({ link }) => el("li", {}, link))),
+        ),
         alert.element,
         said,
       ),

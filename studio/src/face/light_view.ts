@@ -1,13 +1,13 @@
 import type { EstimateResult } from "../api";
 import { balls } from "../shared/ball";
 import { el } from "../shared/dom";
-import { fromAngles, inWords } from "../shared/frame";
+import { fromAngles, whereFrom } from "../shared/frame";
 import { markDirection, panorama } from "../shared/panorama";
 import { prefilter } from "../shared/prefilter";
 import type { RadianceMap } from "../shared/radiance_map";
 import { drawOutline, outline, posteriorOf } from "./posterior";
 import { posteriorBall } from "./posterior_ball";
-import { inWordsOf, sentence } from "./verdict";
+import { sentence } from "./verdict";
 
 /** An estimate's light: elements for the page to arrange. */
 export interface LightView {
@@ -34,9 +34,9 @@ export function lightView(
   const main = result.lamps.length > 0 ? "main lamp" : "sun";
   const posterior = density && posteriorOf(density, result.posterior.region_edge_per_sr);
 
-  const words = inWords(sun.azimuth_deg, sun.zenith_deg);
+  const words = whereFrom(sun.azimuth_deg, sun.zenith_deg);
   const view = panorama(
-    `${title}: the light around the camera as a panorama; ${sees ? main : "brightest"} ${words}`,
+    `${title}: the light around the camera as a panorama; ${sees ? `${main} ${words}` : `most light ${words}`}`,
   );
   const towardsSun = fromAngles(sun.azimuth_deg, sun.zenith_deg);
   const pieces = posterior ? outline(posterior) : [];
@@ -54,13 +54,13 @@ export function lightView(
   shown.element.append(ball.element);
 
   const legend = sees
-    ? `Middle: where the camera looks. Ring: the ${main} as found${result.lamps.length > 1 ? ", white the others" : ""}. Line: where it stands with about ${Math.round(100 * result.posterior.share)} % certainty.`
-    : "Middle: where the camera looks. Ring: the brightest place; no sun was seen.";
+    ? `Middle: where the camera looks. Ring: the ${main} as found${result.lamps.length > 1 ? ", white the others" : ""}. Line: where it stands in ${Math.round(10 * result.posterior.share)} cases of 10.`
+    : "Middle: where the camera looks. Ring: where most light comes from; no sun or lamp stands out.";
   return {
     figure: el("figure", { class: "result-map" }, view.element, el("figcaption", {}, legend)),
     panorama: view.element,
     balls: shown.element,
-    numbers: numbers(result, words, sees ? main : "brightest"),
+    numbers: numbers(result, words, sees ? main : "most light"),
     advice: result.advice.map((line) => el("p", { class: "care" }, sentence(line))),
     setMap: (to) => {
       view.setMap(to);
@@ -81,30 +81,28 @@ export function firstStops(map: RadianceMap): number {
 }
 
 function numbers(result: EstimateResult, words: string, main: string): HTMLElement {
-  const { sun, posterior, verdict, faces, seconds } = result;
+  const { sun, posterior, faces, seconds } = result;
   const degrees = (value: number): string => `${Math.round(value)}°`;
   const elevation = 90 - sun.zenith_deg;
-  const sure = `${Math.round(100 * posterior.share)} % within a circle of ${degrees(posterior.region_radius_deg)} radius`;
+  const sure = `in ${Math.round(10 * posterior.share)} cases of 10 within an area as large as a circle of ${degrees(posterior.region_radius_deg)} about it`;
   const all = Object.values(seconds).reduce((sum, one) => sum + one, 0);
   const lines: [string, string][] = [
-    ["Light", sentence(verdict.light)],
-    ...inWordsOf(verdict),
     ...(result.choice
       ? ([["Model", `${result.light}, ${Math.round(100 * result.choice.probability)} % sure`]] as [string, string][])
       : []),
     [sentence(main), sentence(words)],
-    ["Azimuth", `${degrees(Math.abs(sun.azimuth_deg))} to the ${sun.azimuth_deg < 0 ? "left" : "right"} of the camera's view`],
-    ["Zenith angle", `${degrees(sun.zenith_deg)}, that is ${degrees(Math.abs(elevation))} ${elevation < 0 ? "below" : "above"} the horizon`],
+    ["Turned", `${degrees(Math.abs(sun.azimuth_deg))} to the ${sun.azimuth_deg < 0 ? "left" : "right"} of where the camera looks`],
+    ["Height", `${degrees(Math.abs(elevation))} ${elevation < 0 ? "below" : "above"} the horizon`],
     ...(posterior.is_seen ? ([["How sure", sure]] as [string, string][]) : []),
     ...result.lamps.map((lamp, i) => [`Lamp ${i + 1}`, lampInWords(lamp)] as [string, string]),
     ...faces.map(
       (face, i) =>
         [
           faces.length > 1 ? `Face ${i + 1}` : "Face",
-          `re-rendered to within ${Math.round(100 * face.residual)} % on average`,
+          `drawn in this light it differs from the photo by ${Math.round(100 * face.residual)} % on average`,
         ] as [string, string],
     ),
-    ["Time", `${Math.round(all)} s`],
+    ["Found in", `${Math.round(all)} s`],
   ];
   return el("dl", { class: "numbers" }, ...lines.flatMap(([term, value]) => [el("dt", {}, term), el("dd", {}, value)]));
 }
@@ -112,5 +110,5 @@ function numbers(result: EstimateResult, words: string, main: string): HTMLEleme
 /** Where a lamp stands, what a surface that faces it receives, and its half width. */
 function lampInWords({ azimuth_deg, zenith_deg, irradiance, spread_deg }: EstimateResult["lamps"][number]): string {
   const [red, green, blue] = irradiance.map((value) => value.toPrecision(2));
-  return `${inWords(azimuth_deg, zenith_deg)}; irradiance ${red}, ${green}, ${blue} (RGB); spread ${Math.round(spread_deg)}°`;
+  return `${whereFrom(azimuth_deg, zenith_deg)}; red, green, blue ${red}, ${green}, ${blue} (irradiance); ${Math.round(2 * spread_deg) || "under 1"}° wide`;
 }

@@ -93,7 +93,7 @@ export function posteriorBall(
   const drawMarks = (context: CanvasRenderingContext2D): void => {
     const marks: [Vec3, string, string][] = [
       [[0, 0, -1], "camera", "#ffffff"],
-      [fromAngles(sun.azimuth_deg, sun.zenith_deg), posterior ? main : "brightest", "#ffd23f"],
+      [fromAngles(sun.azimuth_deg, sun.zenith_deg), posterior ? main : "most light", "#ffd23f"],
       [[0, 1, 0], "up", "#ffffff"],
     ];
     context.font = "600 15px system-ui, sans-serif";
@@ -144,7 +144,7 @@ export function posteriorBall(
       "figure",
       { class: "posterior-ball" },
       canvas,
-      el("figcaption", {}, posterior ? "Sun, likely" : "All around"),
+      el("figcaption", {}, posterior ? `Where the ${main} may be` : "All around"),
     ),
     setExposure: (factor) => {
       exposure = factor;

@@ -18,15 +18,15 @@ import { loadRadianceMap, whiteLevel, type RadianceMap } from "../shared/radianc
 export const page: Page = (root) => {
   const alert = alertBox();
   const work = jobPanel();
-  const results = resultPlace("The map, the map decoded from its code, and how good codes of each size are will be here.");
-  const begin = el("button", { type: "button", class: "primary", onclick: () => void code() }, "Make the code");
+  const results = resultPlace("The map, the map put together again from its pieces, and how good it is with how many will be here.");
+  const begin = el("button", { type: "button", class: "primary", onclick: () => void code() }, "Take it apart");
   const ready = (): void => {
     begin.disabled = source.chosen === undefined;
   };
   const source = lightSource({ changed: ready });
-  const dictionary = chooser("Dictionary", [], () => {});
+  const dictionary = chooser("Shape of the pieces", [], () => {});
   const count = slider({
-    label: "Activations at most",
+    label: "Pieces at most",
     min: 1, max: 256, step: 1, value: 64,
     changed: () => {},
   });
@@ -53,12 +53,12 @@ export const page: Page = (root) => {
   };
 
   root.append(
-    el("h1", {}, "Sparse codes"),
+    el("h1", {}, "Light in few pieces"),
     el(
       "p",
       { class: "lead" },
-      "A map of light as a sum of few lobes, each of its own place, width, turn and colour. " +
-        "The code is made by this machine; a coarse map takes seconds, a fine one longer.",
+      "A map of light as a sum of a few soft patches, each of its own place, width, turn and colour: a sparse code. " +
+        "It is made by this machine; a coarse map takes seconds, a fine one longer.",
     ),
     el(
       "div",
@@ -82,7 +82,7 @@ export const page: Page = (root) => {
   return work.cancel;
 };
 
-/** What came out: both maps, how good codes of each size are, and the activations themselves. */
+/** What came out: both maps, how good codes of each size are, and their pieces (activations). */
 function shown(
   light: GivenLight,
   { job, result, files }: Job<CodeResult>,
@@ -92,7 +92,7 @@ function shown(
   const { counts, errors, activations, floats, map_floats } = result!;
   const white = whiteLevel(original);
   const [before, after] = [original, decoded].map((map, i) => {
-    const view = panorama(i ? "The map decoded from its code" : `The map ${light.title} with its activations drawn on it`);
+    const view = panorama(i ? "The map put together from its pieces" : `The map ${light.title} with its pieces drawn on it`);
     view.setMap(map);
     view.setExposure(1 / white);
     return view;
@@ -103,10 +103,10 @@ function shown(
     before!.setOverlay(drawActivations(activations.slice(0, number)));
     chart.mark(Math.max(1, number));
     const nearest = counts.reduce((best, each, i) => (each <= number ? i : best), 0);
-    line.textContent = `A code of ${counts[nearest]} is off by ${percent(errors[nearest]!)} of the map's norm.`;
+    line.textContent = `With ${counts[nearest]} pieces it is off by ${percent(errors[nearest]!)} (root of the mean square).`;
   };
   const drawn = slider({
-    label: "Strongest activations to show",
+    label: "Strongest pieces to show",
     min: 0, max: activations.length, step: 1, value: Math.min(24, activations.length),
     words: (number) => `${number} of ${activations.length}`,
     changed: show,
@@ -123,13 +123,13 @@ function shown(
       el(
         "div",
         { class: "columns" },
-        el("figure", {}, before!.element, el("figcaption", {}, "The map; rings where the lobes have half their height, dashed where they take light away")),
-        el("figure", {}, after!.element, el("figcaption", {}, `Decoded from ${activations.length} activations: ${floats} numbers for the map's ${map_floats}`)),
+        el("figure", {}, before!.element, el("figcaption", {}, "The map; rings where a piece has half its height, dashed where it takes light away")),
+        el("figure", {}, after!.element, el("figcaption", {}, `Put together from ${activations.length} pieces: ${floats} numbers for the map's ${map_floats}`)),
       ),
       el("div", { class: "columns" }, drawn.element, exposure.element),
     ),
-    el("section", { class: "card stack tight" }, el("h2", {}, "Error against the number of activations"), chart.element, line),
-    el("section", { class: "card stack tight" }, el("h2", {}, "Activations"), activationTable(activations)),
+    el("section", { class: "card stack tight" }, el("h2", {}, "How far off, by the number of pieces"), chart.element, line),
+    el("section", { class: "card stack tight" }, el("h2", {}, "The pieces"), activationTable(activations)),
     el("section", { class: "card stack tight" }, el("h2", {}, "Files"), downloads(job, files ?? [])),
   ];
 }

@@ -22,7 +22,7 @@ const LIT = "Lit by the sky. Drag to walk round it.";
 
 export const page: Page = (root) => {
   const alert = alertBox();
-  const status = el("span", { role: "status", "aria-live": "polite" }, "Loading the decoder …");
+  const status = el("span", { role: "status", "aria-live": "polite" }, "Loading the sky model …");
   const scene = el("canvas", {
     class: "picture sky-scene",
     role: "img",
@@ -38,12 +38,12 @@ export const page: Page = (root) => {
   const sunLine = el("p", { class: "small" });
   const controls = el("div", { class: "stack" });
   root.append(
-    el("h1", {}, "Sky decoder"),
+    el("h1", {}, "Make a sky"),
     el(
       "p",
       { class: "lead" },
-      "The decoder that estimates work with, run by this page. Each component is one way in which " +
-        "skies differ from the mean one; 0 is the mean, 1 σ is common, 3 σ is rare.",
+      "A sky by hand, and the light that it sheds: the learnt model of skies, run by this page. Each slider is one way in which " +
+        "skies differ from the mean one: 0 is the mean, 1 is common, 3 is rare.",
     ),
     alert.element,
     el(
@@ -138,12 +138,12 @@ export const page: Page = (root) => {
 
   const degrees = (value: number) => `${value}°`;
   const azimuth = slider({
-    label: "Azimuth of the sun",
+    label: "Side of the sun",
     min: -180, max: 180, step: 1, value: 115, words: (a) => `${a}° ${a < 0 ? "left" : a > 0 ? "right" : "ahead"}`,
     changed: wish,
   });
   const albedo = slider({
-    label: "Albedo of the ground",
+    label: "Brightness of the ground",
     min: 0, max: 0.9, step: 0.01, value: 0.15, words: (a) => a.toFixed(2),
     changed: wish,
   });
@@ -181,27 +181,27 @@ export const page: Page = (root) => {
   };
 
   const button = (text: string, onclick: () => void) => el("button", { type: "button", onclick }, text);
-  const showControls = (shares: number[]) => {
-    components = shares.map((share, k) =>
+  const showControls = ({ names, shares }: Latents) => {
+    components = names.map((name) =>
       slider({
-        label: `Component ${k + 1} · ${(100 * share).toFixed(0)} %`,
+        label: name,
         min: -3, max: 3, step: 0.05, value: 0,
-        words: (value) => `${value > 0 ? "+" : ""}${value.toFixed(2)} σ`,
+        words: (value) => `${value > 0 ? "+" : ""}${value.toFixed(2)}`,
         changed: wish,
       }),
     );
     controls.append(
       el("div", { class: "row" }, button("Random sky", () => set(normal)), button("Mean sky", () => set(() => 0))),
       el("fieldset", {}, el("legend", {}, "Place and exposure"), azimuth.element, albedo.element, brightness.element, turn.element),
-      el("fieldset", {}, el("legend", {}, "Components of the sky"),
-        el("p", { class: "muted small" }, "With the share that each has in how skies vary."),
+      el("fieldset", {}, el("legend", {}, "The sky"),
+        el("p", { class: "muted small" }, `The strongest first: the uppermost makes ${Math.round(100 * shares[0]!)} % of how skies differ.`),
         ...components.map((one) => one.element)),
       el(
         "fieldset",
         {},
         el("legend", {}, "Take it with you"),
-        el("div", { class: "row" }, button("Map (.hdr)", saveMap), button("Latent (.json)", saveLatent)),
-        el("p", { class: "muted small" }, "The latent lights scenes with “skylight relight --latent sky.json”."),
+        el("div", { class: "row" }, button("Map (.hdr)", saveMap), button("Recipe (.json)", saveLatent)),
+        el("p", { class: "muted small" }, "The recipe (its latent) lights scenes with “skylight relight --latent sky.json”."),
       ),
     );
   };
@@ -214,7 +214,7 @@ export const page: Page = (root) => {
     const [about, graph] = await Promise.all([getJson<Latents>("/api/sky.json"), getBytes("/api/sky.onnx")]);
     latents = about;
     albedo.set(Math.round((100 * about.ground_albedo.reduce((a, b) => a + b)) / 3) / 100);
-    showControls(about.shares);
+    showControls(about);
     status.textContent = "Preparing the scene …";
     decoder.start(graph, life.receivers);
     wish();

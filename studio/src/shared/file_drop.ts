@@ -15,7 +15,7 @@ export function fileDrop(options: {
 }): { element: HTMLElement; leave: () => void } {
   const { prompt, button, accept, hint, chosen } = options;
   const input = el("input", { type: "file", accept, hidden: true, "aria-label": button });
-  const pick = el("button", { type: "button", class: "primary", onclick: () => input.click() }, button);
+  const pick = el("button", { type: "button", class: options.small ? "" : "primary", onclick: () => input.click() }, button);
   const element = el("div", { class: options.small ? "drop small" : "drop" });
   if (prompt) element.append(el("p", {}, prompt));
   element.append(pick, input);

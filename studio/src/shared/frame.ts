@@ -46,3 +46,27 @@ export function inWords(azimuthDeg: number, zenithDeg: number): string {
   const height = zenithDeg < 40 ? "high" : zenithDeg > 70 ? "low" : "half high";
   return [depth, side, height].filter(Boolean).join(", ");
 }
+
+/**
+ * Where light comes from, as skylight's verdicts say it: "from behind on the left, high". Left and
+ * right are the picture's, and behind is behind the person.
+ */
+export function whereFrom(azimuthDeg: number, zenithDeg: number): string {
+  if (zenithDeg < 20) return "from above";
+  if (zenithDeg > 160) return "from below";
+  const [x, y, z] = fromAngles(azimuthDeg, zenithDeg);
+  if (z > Math.cos(12 * RADIAN)) return "from the camera";
+  const around = Math.abs(Math.atan2(x, z)) / RADIAN; // from where the camera stands
+  const side = x < 0 ? "left" : "right";
+  const where =
+    around < 25
+      ? "from the front"
+      : around < 65
+        ? `from the front ${side}`
+        : around < 115
+          ? `from the ${side}`
+          : `from behind${around < 155 ? ` on the ${side}` : ""}`;
+  const elevation = Math.asin(y) / RADIAN;
+  const height = elevation >= 45 ? "high" : elevation >= 15 ? "" : elevation >= -15 ? "low" : "from below";
+  return height ? `${where}, ${height}` : where;
+}

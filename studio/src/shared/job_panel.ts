@@ -1,6 +1,7 @@
 import { followJob, forgetJob, startJob, type Job } from "../api";
 import { alertBox } from "./alert";
 import { el, freshId } from "./dom";
+import { leftInWords, secondsLeft } from "./time_left";
 
 export interface JobPanel {
   element: HTMLElement;
@@ -8,7 +9,9 @@ export interface JobPanel {
    * Runs a job to its end, showing its stages; null where it failed (the panel says why) or was
    * cancelled. One at a time: a second call cancels the first.
    */
-  run: <Result>(request: { kind: string; [key: string]: unknown }) => Promise<Job<Result> | null>;
+  run: <Result>(request: { kind: string; [key: string]: unknown }, begun?: (job: string) => void) => Promise<Job<Result> | null>;
+  /** The same with a job that was begun before the page was loaded. */
+  resume: <Result>(job: string) => Promise<Job<Result> | null>;
   cancel: () => void;
 }
 
@@ -18,12 +21,16 @@ export function jobPanel(): JobPanel {
   const stage = el("p", { id, role: "status", "aria-live": "polite" });
   const bar = el("progress", { max: 1, value: 0, "aria-labelledby": id });
   const button = el("button", { type: "button", onclick: () => cancel() }, "Cancel");
-  const working = el("div", { class: "job" }, el("div", { class: "row split" }, stage, button), bar);
+  const left = el("span", { class: "muted small figure left" });
+  const working = el("div", { class: "job" }, el("div", { class: "row split" }, stage, button), bar, left);
   const alert = alertBox();
   working.hidden = true;
   let stop: AbortController | null = null;
+  let since = 0; // when the studio began with it
 
   const show = (job: Job): void => {
+    if (job.state === "waiting") since = performance.now();
+    left.textContent = leftInWords(secondsLeft(job.stage, job.share, (performance.now() - since) / 1000));
     const jobs = job.before === 1 ? "job" : "jobs";
     const words = job.before ? `${job.before} ${jobs} before yours` : job.stage || "Starting";
     const line = `${words.charAt(0).toUpperCase()}${words.slice(1)} …`;
@@ -38,25 +45,35 @@ export function jobPanel(): JobPanel {
   return {
     element: el("div", { class: "stack tight" }, working, alert.element),
     cancel,
-    run: async <Result>(request: { kind: string; [key: string]: unknown }) => {
-      cancel();
-      alert.clear();
-      const mine = new AbortController();
-      stop = mine;
-      stage.textContent = "Starting …";
-      bar.removeAttribute("value");
-      working.hidden = false;
-      let job = "";
-      try {
-        job = await startJob(request);
-        return await followJob<Result>(job, show, mine.signal);
-      } catch (error) {
-        if (job) forgetJob(job);
-        if (!mine.signal.aborted) alert.show(error);
-        return null;
-      } finally {
-        if (stop === mine) cancel();
-      }
-    },
+    run: (request, begun) =>
+      follow(async () => {
+        const job = await startJob(request);
+        begun?.(job);
+        return job;
+      }),
+    resume: (job) => follow(() => Promise.resolve(job)),
   };
+
+  async function follow<Result>(start: () => Promise<string>): Promise<Job<Result> | null> {
+    cancel();
+    alert.clear();
+    const mine = new AbortController();
+    stop = mine;
+    stage.textContent = "Starting …";
+    left.textContent = "";
+    bar.removeAttribute("value");
+    working.hidden = false;
+    since = performance.now();
+    let job = "";
+    try {
+      job = await start();
+      return await followJob<Result>(job, show, mine.signal);
+    } catch (error) {
+      if (job) forgetJob(job);
+      if (!mine.signal.aborted) alert.show(error);
+      return null;
+    } finally {
+      if (stop === mine) cancel();
+    }
+  }
 }

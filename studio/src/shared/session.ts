@@ -1,14 +1,61 @@
-/** What this tab has estimated so far, for pages that use light found on another; gone with the tab. */
+import type { Photo } from "../api";
+
+/** An estimate of this tab's photo. */
 export interface FoundLight {
   job: string;
   title: string;
 }
-const found: FoundLight[] = [];
 
-export const rememberLight = (light: FoundLight): void => void found.unshift(light);
-/** For lights whose jobs the server has been told to forget. */
-export function forgetLight(job: string): void {
-  const place = found.findIndex((light) => light.job === job);
-  if (place >= 0) found.splice(place, 1);
+/**
+ * What this tab is at: names of what the studio keeps, and the user's changes; no picture, no map.
+ * It outlives a reload, and goes with the tab or with its photo.
+ */
+export interface Session {
+  photo: Photo;
+  lights: FoundLight[];
+  /** One that is still estimated. */
+  running?: FoundLight;
+  /** The title of the light that is shown, and the tab. */
+  shown?: string;
+  tab?: string;
+  /** States of histories. */
+  edits: Record<string, string>;
 }
-export const foundLights = (): readonly FoundLight[] => found;
+
+const KEY = "skylight studio";
+let session: Session | null = read();
+
+function read(): Session | null {
+  try {
+    return JSON.parse(sessionStorage.getItem(KEY) ?? "null") as Session | null;
+  } catch {
+    return null; // a browser that keeps nothing: a reload begins anew
+  }
+}
+
+function write(): void {
+  try {
+    if (session) sessionStorage.setItem(KEY, JSON.stringify(session));
+    else sessionStorage.removeItem(KEY);
+  } catch {
+    // as above
+  }
+}
+
+export const currentSession = (): Readonly<Session> | null => session;
+export function beginSession(photo: Photo): void {
+  session = { photo, lights: [], edits: {} };
+  write();
+}
+export function updateSession(change: Partial<Session>): void {
+  if (!session) return;
+  Object.assign(session, change);
+  write();
+}
+export function endSession(): void {
+  session = null;
+  write();
+}
+
+export const foundLights = (): readonly FoundLight[] =>
+  (session?.lights ?? []).map(({ job, title }) => ({ job, title: `${session!.photo.name}: ${title}` })).reverse();

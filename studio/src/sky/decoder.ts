@@ -9,6 +9,8 @@ export interface Latents {
   sigmas: number[];
   mean: number[];
   shares: number[];
+  /** What the components do when they are raised. */
+  names: string[];
   ground_albedo: Rgb;
 }
 

@@ -25,5 +25,6 @@ export function skyPainter(canvas: HTMLCanvasElement): (map: Float32Array, expos
     const [red, green, blue] = [3, 2, 1].map((back) => shown(map.length - back));
     to.fillStyle = `rgb(${red} ${green} ${blue})`;
     to.fillRect(0, middle, canvas.width, middle);
+    canvas.dataset.painted = "";
   };
 }

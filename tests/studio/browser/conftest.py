@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-# everything that a page could leave on the machine
+# everything that a page could leave on the machine; what the tab knows goes with it
 _KEPT = """async () => [
-    localStorage.length + sessionStorage.length,
+    localStorage.length,
+    Object.keys(sessionStorage).filter((key) => key !== "skylight studio").length,
     document.cookie,
     (await indexedDB.databases()).length,
     (await caches.keys()).length,
@@ -97,7 +98,7 @@ def new_page(chromium: "Browser", studio_address: str) -> "Iterator[Callable[...
         kept = page.evaluate(_KEPT)
         cookies = page.context.cookies()
         page.context.close()
-        assert (kept, cookies) == ([0, "", 0, 0, 0], [])
+        assert (kept, cookies) == ([0, 0, "", 0, 0, 0], [])
     assert not failed
     own = urlsplit(studio_address).netloc
     assert {urlsplit(url).netloc for url in asked if url[:5] not in ("blob:", "data:")} <= {own}

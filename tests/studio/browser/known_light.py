@@ -101,6 +101,8 @@ def answers(
         elif path.endswith("/events"):
             body = f"data: {json.dumps(done)}\n\n"
             route.fulfill(body=body, content_type="text/event-stream")
+        elif path == "/api/jobs/it" and route.request.method == "GET":
+            route.fulfill(json=done)
         elif (folder / path.rpartition("/")[2]).is_file():
             route.fulfill(body=(folder / path.rpartition("/")[2]).read_bytes())
         else:

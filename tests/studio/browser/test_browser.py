@@ -17,11 +17,11 @@ from skimage.data import astronaut, camera, coffee
 import skylight
 from tests.studio.browser.pictures import FOR_DOCUMENTATION, picture
 from tests.studio.browser.test_browser_access import OVERFLOW
-from tests.studio.browser.waiting import expect, gathered
+from tests.studio.browser.waiting import expect, gathered, painted
 from tests.studio.conftest import Served
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page, Route
+    from playwright.sync_api import Locator, Page, Route
 
 MakePage = Callable[..., "Page"]
 LINE = "[role=alert] .alert"
@@ -78,13 +78,33 @@ def drop(page: "Page", path: Path, place: str = ".drop") -> None:
 
 def estimated(page: "Page", light: str) -> dict[str, Any]:
     """Finds the light with that model; the job as the server then describes it."""
-    page.locator(f"input[value={light}]").check()
-    count = page.locator(".result").count()
+    choose_model(page, light)
+    count = lights(page).count()
     with page.expect_response("**/api/jobs") as started:
         page.locator("button.primary", has_text=re.compile("Find .* light")).click()
     job = started.value.json()["job"]
-    page.locator(".result").nth(count).wait_for()
+    lights(page).nth(count).wait_for(state="attached")
+    page.locator(".side .verdict").wait_for()
     return asked(page, f"/api/jobs/{job}")
+
+
+def choose_model(page: "Page", light: str) -> None:
+    tab = page.get_by_role("tab", name="Photo")
+    if tab.count():
+        tab.click()
+    models = page.get_by_label("Model of the light")
+    if not models.is_visible():
+        page.get_by_text("More", exact=True).click()
+    models.select_option(light)
+
+
+def lights(page: "Page") -> "Locator":
+    """Those that were found."""
+    return page.get_by_label("Light shown").locator("option")
+
+
+def see(page: "Page", tab: str) -> None:
+    page.get_by_role("tab", name=tab).click()
 
 
 def paste(page: "Page", path: Path) -> None:
@@ -109,13 +129,13 @@ def test_from_a_dropped_photo_to_a_downloaded_map(
     expect(page.locator(LINE)).to_contain_text("picture", ignore_case=True)
     drop(page, portrait_file)
     page.get_by_role("button", name="The face").wait_for()
-    page.locator("input[value=sh9]").check()
+    choose_model(page, "sh9")
     page.evaluate(_WATCH)
     page.get_by_role("button", name="Find the light").click()
     if FOR_DOCUMENTATION:
         page.get_by_role("status").get_by_text(re.compile("(Tracing|Estimating) .*…")).wait_for()
         picture(page, pictures / "studio_faces.png")
-    page.locator(".result").wait_for()
+    page.locator(".side .verdict").wait_for()
     stage = re.compile("(Fitting|Tracing|Estimating|Writing) .*…")
     told = [words for words in page.evaluate("window.told") if words and stage.match(words[0])]
     assert told
@@ -123,6 +143,7 @@ def test_from_a_dropped_photo_to_a_downloaded_map(
     for gone in (page.get_by_role("progressbar"), page.get_by_role("button", name="Cancel")):
         expect(gone).to_be_hidden()
 
+    see(page, "Result")
     link = page.get_by_role("link", name=re.compile("^probe.exr"))
     with page.expect_download() as download:
         link.click()
@@ -144,14 +165,14 @@ def test_from_a_dropped_photo_to_a_downloaded_map(
         told = json.loads(packed.read("estimate.json"))
     listed = page.locator("ul.files a").evaluate_all("links => links.map(a => a.download)")
     assert names | {"all files.zip"} == set(listed)
-    zenith = page.locator("dt:text('Zenith angle') + dd").text_content() or ""
-    assert zenith.startswith(f"{round(told['sun']['zenith_deg'])}°")
+    height = page.locator("dt:text('Height') + dd").text_content() or ""
+    assert height.startswith(f"{round(abs(90 - told['sun']['zenith_deg']))}°")
 
     # another page and back: the result is still there
     page.goto(f"{studio_address}/#/codes")
-    page.get_by_role("heading", level=1, name="Sparse codes").wait_for()
+    page.get_by_role("heading", level=1, name="Light in few pieces").wait_for()
     page.goto(f"{studio_address}/#/face")
-    expect(page.locator(".result")).to_have_count(1)
+    expect(page.locator(".side .verdict")).to_have_count(1)
 
 
 @pytest.mark.slow
@@ -165,19 +186,26 @@ def test_a_second_light_beside_the_first(
     second = "autoencoder" if FOR_DOCUMENTATION else "sh25"
     job = estimated(page, second)
     assert job["result"]["light"] == second
-    expect(page.locator(".result")).to_have_count(2)
-    title = page.locator(".result h3").nth(1).text_content() or ""
-    expect(page.get_by_label("Lit by")).to_have_value(title)
-    expect(page.get_by_role("article", name=title, exact=True)).to_have_count(1)
+    expect(lights(page)).to_have_count(2)
+    shown = page.get_by_label("Light shown")
+    titles = lights(page).all_text_contents()
+    expect(shown).to_have_value(titles[1])
+    light = page.locator(".side .panorama canvas")
+    second_light = light.get_attribute("aria-label") or ""
+    assert second_light.startswith(f"{titles[1]}: ")
+    shown.select_option(titles[0])
+    expect(light).to_have_attribute("aria-label", re.compile(f"^{re.escape(titles[0])}: "))
+    shown.select_option(titles[1])
+    expect(light).to_have_attribute("aria-label", second_light)
     gathered(page, 1 if FOR_DOCUMENTATION else 1 / 8)
     if FOR_DOCUMENTATION:
-        in_photo, light = (
-            page.get_by_role("region", name=name) for name in ("In your photo", "The light")
-        )
-        picture(in_photo, pictures / "studio_photo.png")
-        picture(light, pictures / "studio_lights.png")
+        picture(page, pictures / "studio_photo.png")
+        see(page, "Map")
+        painted(page)
+        picture(page, pictures / "studio_lights.png")
         page.emulate_media(color_scheme="dark")
-        picture(light, pictures / "studio_dark.png")
+        see(page, "Result")
+        picture(page, pictures / "studio_dark.png")
 
 
 @pytest.mark.slow
@@ -192,6 +220,8 @@ def test_an_example_is_taken_as_a_chosen_file_is(new_page: MakePage) -> None:
     taken = answered.value.json()
     assert (taken["width"], taken["height"], len(taken["faces"])) == (*camera().shape, 1)
     page.get_by_role("img", name="Your photo, cameraman.png").wait_for()
+    expect(row).to_have_count(0)  # they give way to the photo, until that is closed
+    page.get_by_role("button", name="Close this photo").click()
     row.get_by_role("button", name=re.compile("astronaut.* Works: .*NASA")).click()
     page.get_by_role("img", name="Your photo, astronaut.png").wait_for()
     expect(page.get_by_role("button", name="Find the light")).to_be_enabled()
@@ -218,7 +248,7 @@ def test_one_of_two_faces(new_page: MakePage, tmp_path: Path, pictures: Path) ->
     expect(second).to_have_attribute("aria-pressed", "true")
     job = estimated(page, "sh9")
     assert [face["number"] for face in job["result"]["faces"]] == [2]
-    expect(page.get_by_role("article", name="Spherical harmonics")).to_have_count(1)
+    expect(lights(page)).to_have_text(["Spherical harmonics, 9 coefficients, face 2"])
 
 
 @pytest.mark.slow

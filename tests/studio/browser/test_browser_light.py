@@ -103,7 +103,7 @@ def test_other_pages_offer_a_found_light_until_its_photo_goes(
 
     def offers(count: int) -> None:
         page.evaluate("location.hash = '#/codes'")
-        page.get_by_role("heading", level=1, name="Sparse codes").wait_for()
+        page.get_by_role("heading", level=1, name="Light in few pieces").wait_for()
         expect(found).to_have_count(count)
         page.evaluate("location.hash = '#/face'")
         page.get_by_role("heading", level=1, name="Light from a face").wait_for()
@@ -118,8 +118,9 @@ def test_other_pages_offer_a_found_light_until_its_photo_goes(
 def test_a_light_that_cannot_be_fetched_says_so(show: Callable[..., "Page"]) -> None:
     page = show(torch.full((64, 128, 3), 0.6))
     page.route("**/probe.exr", lambda route: route.abort())
+    page.get_by_role("tab", name="Photo").click()
     again = page.get_by_role("button", name="Find this light too")
     again.click()
     page.get_by_role("alert").get_by_text("The studio does not answer").wait_for()
     expect(again).to_be_enabled()
-    expect(page.locator(".result")).to_have_count(1)
+    expect(page.get_by_label("Light shown").locator("option")).to_have_count(1)

@@ -24,6 +24,7 @@ from skylight.models._ground import LambertianGround
 from skylight.relight._decoder import read_latent
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from skylight.studio.tasks._sky import NAMES
 from tests.studio.browser.test_browser_access import CONTRASTS, NAMELESS, OVERFLOW
 from tests.studio.browser.waiting import PATIENCE_MS, expect, painted
 
@@ -93,7 +94,11 @@ def open_sky(chromium: "Browser", studio_address: str) -> "Iterator[Page]":
 def sky(open_sky: "Page") -> "Page":
     """The same with its sliders where they are at first."""
     open_sky.get_by_role("button", name="Mean sky").click()
-    for label, value in (("Azimuth of the sun", 115), ("Albedo", 0.2), ("Exposure", 0)):
+    for label, value in (
+        ("Side of the sun", 115),
+        ("Brightness of the ground", 0.2),
+        ("Exposure", 0),
+    ):
         slide(open_sky, label, value)
     return open_sky
 
@@ -103,6 +108,10 @@ def slide(page: "Page", label: str, value: float) -> None:
         "(slider, value) => { slider.value = value; slider.dispatchEvent(new Event('input')); }",
         value,
     )
+
+
+def component(page: "Page", number: int, value: float) -> None:
+    slide(page, NAMES[number - 1], value)
 
 
 def fetched(page: "Page", link: "Locator", folder: Path) -> Path:
@@ -165,11 +174,11 @@ def light_map(tmp_path: Path) -> Path:
 def test_the_decoded_sky_is_torchs(sky: "Page", studio_sky: dict[str, Any], tmp_path: Path) -> None:
     values = [1.25, -0.6, 0.5, 2.0, 0.0, -1.0, 0.75, 0.3]
     for number, value in enumerate(values, 1):
-        slide(sky, f"Component {number}", value)
-    slide(sky, "Azimuth of the sun", -97)
-    slide(sky, "Albedo of the ground", 0.35)
+        component(sky, number, value)
+    slide(sky, "Side of the sun", -97)
+    slide(sky, "Brightness of the ground", 0.35)
     settled(sky)
-    latent = fetched(sky, sky.get_by_role("button", name="Latent"), tmp_path)
+    latent = fetched(sky, sky.get_by_role("button", name="Recipe"), tmp_path)
     map_ = fetched(sky, sky.get_by_role("button", name="Map"), tmp_path)
     read = read_latent(latent)  # as `skylight relight --latent` does
     expected = np.array(studio_sky["mean"])
@@ -192,7 +201,7 @@ def test_the_decoded_sky_is_torchs(sky: "Page", studio_sky: dict[str, Any], tmp_
     # and a strong sun, whose energies are latents -4 to -2, is where the slider says: left
     sunny = np.array(studio_sky["components"])[:, -4:-1].sum(1) > 0
     for number, more in enumerate(sunny.tolist(), 1):
-        slide(sky, f"Component {number}", 1.5 if more else -1.5)
+        component(sky, number, 1.5 if more else -1.5)
     settled(sky)
     written = read_linear(fetched(sky, sky.get_by_role("button", name="Map"), tmp_path))
     _, column = np.unravel_index(written[:32].sum(-1).argmax(), (32, 128))
@@ -205,7 +214,7 @@ def test_a_dragged_slider_repaints_sky_and_object_without_the_server(
     settled(sky)
     asked: list[str] = []
     sky.on("request", lambda request: asked.append(request.url))
-    for label in ("Component 1", "Azimuth of the sun"):
+    for label in (NAMES[0], "Side of the sun"):
         sky.evaluate(DRAG, [label, 20])  # until the picture has found its pace
         times = sky.evaluate(DRAG, [label, 120])
         rate = 1000 / statistics.median(np.diff(times))
@@ -219,8 +228,8 @@ def test_ground_in_the_picture_is_as_bright_as_the_decoded_light_makes_it(
     sky: "Page", sunny: list[float], tmp_path: Path
 ) -> None:
     for number, value in enumerate(sunny, 1):
-        slide(sky, f"Component {number}", value)
-    slide(sky, "Azimuth of the sun", 180)  # behind the camera, so that shadows fall away from it
+        component(sky, number, value)
+    slide(sky, "Side of the sun", 180)  # behind the camera, so that shadows fall away from it
     slide(sky, "Exposure", -2)
     settled(sky)
     ground = read_linear(fetched(sky, sky.get_by_role("button", name="Map"), tmp_path))[-1, 0]
@@ -238,8 +247,8 @@ def test_the_shadow_falls_away_from_the_sun(
     sky: "Page", sunny: list[float], azimuth: float, dark: bool
 ) -> None:
     for number, value in enumerate(sunny, 1):
-        slide(sky, f"Component {number}", value)
-    slide(sky, "Azimuth of the sun", azimuth)
+        component(sky, number, value)
+    slide(sky, "Side of the sun", azimuth)
     slide(sky, "Exposure", -1)
     settled(sky)
     picture = shown(sky, ".sky-scene").mean(-1)
@@ -251,7 +260,7 @@ def test_the_shadow_falls_away_from_the_sun(
 
 
 def test_random_and_mean_sky(sky: "Page") -> None:
-    sliders = sky.get_by_label("Component")
+    sliders = sky.get_by_role("group", name="The sky").get_by_role("slider")
 
     def values() -> list[float]:
         return [float(one.input_value()) for one in sliders.all()]
@@ -266,7 +275,7 @@ def test_random_and_mean_sky(sky: "Page") -> None:
 
 def test_the_sky_pages_picture(sky: "Page", sunny: list[float], pictures: Path) -> None:
     for number, value in enumerate(sunny, 1):
-        slide(sky, f"Component {number}", value)
+        component(sky, number, value)
     settled(sky)
     sky.screenshot(path=pictures / "sky.png", full_page=True)
 
@@ -278,12 +287,12 @@ def test_a_map_becomes_a_code(
     new_page: MakePage, light_map: Path, tmp_path: Path, pictures: Path
 ) -> None:
     page = new_page("/#/codes")
-    expect(page.get_by_role("button", name="Make the code")).to_be_disabled()
+    expect(page.get_by_role("button", name="Take it apart")).to_be_disabled()
     page.set_input_files("input[type=file]", light_map)
     page.get_by_text("two lobes.hdr is chosen").wait_for()
-    page.get_by_label("Dictionary").select_option("iso")
-    slide(page, "Activations at most", 12)
-    page.get_by_role("button", name="Make the code").click()
+    page.get_by_label("Shape of the pieces").select_option("iso")
+    slide(page, "Pieces at most", 12)
+    page.get_by_role("button", name="Take it apart").click()
     page.get_by_role("heading", name="Files").wait_for()
     page.get_by_text("The same as a table").click()
     table = page.get_by_role("region", name="The same as a table").locator("tbody tr")
@@ -294,8 +303,8 @@ def test_a_map_becomes_a_code(
     assert shares == sorted(shares, reverse=True)
     assert shares[-1] < 10
     expect(page.locator("svg title")).to_contain_text("with 12")
-    page.get_by_text("activations as a table").click()
-    rows = page.get_by_role("region", name="activations").locator("tbody tr")
+    page.get_by_text("pieces as a table").click()
+    rows = page.get_by_role("region", name="pieces").locator("tbody tr")
     expect(rows).to_have_count(12)
     strongest = rows.first.inner_text().split("\t")
     assert float(strongest[1].rstrip("°")) == pytest.approx(60, abs=4)
@@ -303,14 +312,14 @@ def test_a_map_becomes_a_code(
     panorama = ".panorama >> nth=0"
     painted(page)
     with_rings = shown(page, panorama)
-    slide(page, "Strongest activations to show", 0)
+    slide(page, "Strongest pieces to show", 0)
     painted(page)
     without = shown(page, panorama)
     ringed = np.argwhere(np.abs(with_rings - without).max(-1) > 0.2)
     assert len(ringed) > 50
     code = fetched(page, page.get_by_role("link", name="code.json"), tmp_path)
     assert len(json.loads(code.read_text())["activations"]) == 12
-    slide(page, "Strongest activations to show", 12)
+    slide(page, "Strongest pieces to show", 12)
     painted(page)
     page.screenshot(path=pictures / "codes.png", full_page=True)
 
@@ -323,7 +332,7 @@ def test_what_is_no_map_is_refused_in_one_line(new_page: MakePage, tmp_path: Pat
     line = page.get_by_role("alert").filter(has_text="notes.hdr")
     line.wait_for()
     assert len(line.inner_text().splitlines()) == 1
-    expect(page.get_by_role("button", name="Make the code")).to_be_disabled()
+    expect(page.get_by_role("button", name="Take it apart")).to_be_disabled()
 
 
 # Probes

@@ -175,7 +175,7 @@ def test_a_teapot_stands_on_a_mat_whose_corners_are_clicked(
         pixel(moved(foot, 0, 0, 1.3 * size)),
     )
     if FOR_DOCUMENTATION:
-        section = page.get_by_role("region", name="In your photo")
+        section = page.get_by_role("tabpanel", name="Objects")
         picture(section, pictures / "studio_table.png")
     assert linear(seen[shadow]).sum() < 0.7 * linear(photo[shadow]).sum()
     assert linear(seen[lit]).sum() > 0.95 * linear(photo[lit]).sum()

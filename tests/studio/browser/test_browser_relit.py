@@ -47,7 +47,7 @@ def found(show: Callable[..., "Page"], tmp_path: Path) -> "Page":
 
 
 def opened(page: "Page") -> None:
-    page.get_by_role("button", name=MOVE).click()
+    page.get_by_role("tab", name="Portrait").click()
     page.locator(f"{CANVAS}[data-shows]").wait_for()
 
 
@@ -133,9 +133,9 @@ def test_the_key_is_dragged_and_the_person_follows_as_the_command_has_it(
         page.get_by_role("button", name=name.capitalize(), exact=True).click()
         turned = (180.0 - to_right + 180.0) % 360.0 - 180.0
         page.wait_for_function(_SHOWS, arg=[turned, 90.0 - elevation, *usual])
-    page.get_by_label("Softness of the key light").fill(str(SOFT_DEG))
+    page.get_by_label("Softness").fill(str(SOFT_DEG))
     page.wait_for_function(_SHOWS, arg=[turned, 90.0 - elevation, KEY_OVER_FILL, SOFT_DEG])
-    page.get_by_label("Strength of the key light").fill("0")
+    page.get_by_label("Strength").fill("0")
     page.wait_for_function(
         "() => JSON.parse(document.querySelector('.relit').dataset.shows)[2] === 0"
     )
@@ -178,7 +178,7 @@ def test_the_key_is_dragged_and_the_person_follows_as_the_command_has_it(
     texts = [text for ratio, text in page.evaluate(CONTRASTS) if ratio < 4.5]
     assert [text for text in texts if "lamp-handle" not in text] == []  # white on the panorama
     drag_to(page, -110.0, 30.0)
-    picture(page.locator(".relit-grid"), pictures / "studio_relit.png")
+    picture(page, pictures / "studio_relit.png")
     page.set_viewport_size({"width": 360, "height": 740})
     page.wait_for_function("innerWidth === 360")
     assert page.evaluate(OVERFLOW) == 0
@@ -221,6 +221,7 @@ def test_a_warning_is_shown_and_saved_with_the_picture(found: "Page", tmp_path: 
     opened(page)
     figure = page.locator(".relit-grid figure").first
     expect(figure.get_by_text("Take care: the light that was found is unreliable.")).to_be_visible()
+    page.get_by_text("At full resolution", exact=True).click()
     expect(page.get_by_text("the light of this face alone")).to_be_visible()
     with page.expect_download() as download:
         page.locator(".relit-grid").get_by_role("button", name="Save this picture").click()
@@ -237,7 +238,7 @@ def test_a_warning_is_shown_and_saved_with_the_picture(found: "Page", tmp_path: 
 def test_an_estimate_that_is_gone_is_told_in_one_line(found: "Page") -> None:
     page = found
     page.unroute("**/api/jobs")  # the server knows of no such job
-    page.get_by_role("button", name=MOVE).click()
-    alert = page.locator(f".result {LINE}")
+    page.get_by_role("tab", name="Portrait").click()
+    alert = page.locator(f".relit-section {LINE}")
     expect(alert).to_have_text("There is no such job (any more); begin again")
     expect(page.get_by_role("button", name=MOVE)).to_be_enabled()

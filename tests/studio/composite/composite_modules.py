@@ -12,7 +12,7 @@ const bytesOf = (hex) => Uint8Array.from(Buffer.from(hex, "hex")).buffer;
 const revive = (_, value) => (value?.hex === undefined ? value : bytesOf(value.hex));
 const [module, calls] = JSON.parse(await text(process.stdin), revive);
 const logLevel = "silent", configFile = false;
-const path = `./src/face/composite/${module}.ts`;
+const path = `./src/${module}.ts`;
 const { module: read } = await runnerImport(path, { configFile, logLevel });
 const answers = calls.map(([name, ...given]) => {
     if (typeof read[name] !== "function") return { value: read[name] };
@@ -27,7 +27,7 @@ process.exit(0);
 """
 
 
-def called(module: str, *calls: tuple[Any, ...]) -> list[Any]:
+def called(module: str, *calls: tuple[Any, ...], folder: str = "face/composite/") -> list[Any]:
     """What each (function, arguments...) of a module returns; an Error is its message.
 
     A function that returns nothing returns None; bytes are given as an ArrayBuffer.
@@ -36,7 +36,7 @@ def called(module: str, *calls: tuple[Any, ...]) -> list[Any]:
         [{"hex": part.hex()} if isinstance(part, bytes) else part for part in call]
         for call in calls
     ]
-    answers = run_in_node(_PROGRAM, [module, given])
+    answers = run_in_node(_PROGRAM, [folder + module, given])
     return [Error(one["error"]) if "error" in one else one.get("value") for one in answers]
 
 

@@ -40,6 +40,47 @@ def test_components_are_axes_of_the_latents() -> None:
     assert (axes[range(8), np.abs(axes).argmax(1)] > 0).all()
 
 
+def seen(latent: torch.Tensor) -> dict[str, float]:
+    """What people see of a sky whose sun is ahead: columns are azimuths, 64 of 128 the sun's."""
+    height, red, green, blue, _ = latent[-5:].tolist()
+    energy = [math.exp(min(2 * value - 1, 12)) for value in (red, green, blue)]
+    sky = load_bundle().light()(torch.cat([latent, torch.zeros(1)])[None])[0].reshape(32, 128, 3)
+    level = sky @ torch.tensor([0.2126, 0.7152, 0.0722])
+    middle = level[6:28]
+    behind = torch.cat([middle[:, :32], middle[:, 96:]], 1)
+    return {
+        "sun": float(np.dot(energy, (0.2126, 0.7152, 0.0722))),
+        "sun's red over blue": energy[0] / energy[2],
+        "sun's height": 90 - 90 / (1 + math.exp(-1.5 * height)),
+        "red over blue": float(sky[..., 0].median() / sky[..., 2].median()),
+        "contrast": float(level[4:20].log().std()),
+        "zenith over horizon": float(level[:6].median() / level[26:].median()),
+        "behind over ahead": float(behind.median() / middle[:, 32:96].median()),
+        "right over left": float(middle[:, 64:].median() / middle[:, :64].median()),
+    }
+
+
+def test_a_component_does_what_it_is_called() -> None:
+    """From -2 to 2 standard deviations, by a fifth at least of each quantity that its name says."""
+    sky = describe_sky(tell=lambda *_: None)
+    says: dict[str, dict[str, int]] = {
+        "Clouds over the sun": {"sun": -1, "contrast": -1},
+        "Lower, redder sun": {"sun's height": -1, "sun's red over blue": 1},
+        "Bluer sky": {"red over blue": -1},
+        "Warmer, smoother sky": {"red over blue": 1, "contrast": -1},
+        "Evening sun": {"sun's height": -1, "sun's red over blue": 1, "sun": 1},
+        "Brighter overhead": {"zenith over horizon": 1},
+        "More even all round": {"behind over ahead": 1, "contrast": -1},
+        "Brighter right of the sun": {"right over left": 1},
+    }
+    assert list(sky["names"]) == list(says)
+    mean = torch.tensor(sky["mean"])
+    for name, axis, sigma in zip(sky["names"], sky["components"], sky["sigmas"], strict=True):
+        low, high = (seen(mean + steps * sigma * torch.tensor(axis)) for steps in (-2, 2))
+        for quantity, sign in says[name].items():
+            assert (high[quantity] / low[quantity]) ** sign > 1.2, (name, quantity)
+
+
 def test_the_shipped_decoder_is_that_of_the_shipped_network() -> None:
     light = load_bundle().light()
     free = torch.randn(sum(BATCHES), 65, generator=torch.Generator().manual_seed(1))

@@ -4,6 +4,7 @@ import { el, freshId } from "../../shared/dom";
 import type { Edit } from "../../shared/edit";
 import { chooser, slider } from "../../shared/fields";
 import { fileDrop } from "../../shared/file_drop";
+import type { History } from "../../shared/history";
 import type { RadianceMap } from "../../shared/radiance_map";
 import { lengthField } from "./length_field";
 import { FINISHES } from "./materials";
@@ -20,8 +21,12 @@ export interface CompositePanel {
   element: HTMLElement;
   /** Adds a light that the object can stand in, radiance in the photo's units and colours, and shows it. */
   addLight: (title: string, map: RadianceMap, edit: Edit) => void;
+  /** Shows a light that was added. */
+  show: (title: string) => void;
   /** Puts a model of one's own, .obj or .glb, in the object's place. */
   showModel: (file: File) => void;
+  /** Has its changes noted in a history; `bring` shows the object whose change is taken back. */
+  remember: (history: History, bring: () => void) => void;
   dispose: () => void;
 }
 
@@ -51,7 +56,7 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
     const line =
       "This browser offers no WebGL 2 with float targets, so no object can be drawn into the photo; " +
       "the light and its files are not affected.";
-    return { element: el("p", { class: "care" }, line), addLight: () => {}, showModel: () => {}, dispose: () => {} };
+    return { element: el("p", { class: "care" }, line), addLight: () => {}, show: () => {}, showModel: () => {}, remember: () => {}, dispose: () => {} };
   }
 
   const placement: Placement = { foot: [0, 0, -1], size: 0.1, turnDeg: 0 };
@@ -60,6 +65,8 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
   let isMoved = false;
   let model: Model;
   let finish = OWN;
+  let own: { model: Model; file: string } | null = null; // the user's, for as long as the page lives
+  let noted = (): void => {};
 
   const said = el("p", { class: "visually-hidden", role: "status" });
   const asks = el("p", { class: "muted", role: "status" });
@@ -88,6 +95,7 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
     turn.set(Math.round(placement.turnDeg));
     canvas.dataset.placement = JSON.stringify(placement);
     view.place(placement, stands.stand());
+    noted();
   };
   /** Where the object stands before it is moved. */
   const first = (): void => {
@@ -105,7 +113,8 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
   const dress = (): void => {
     view.setModel(model, finish === OWN ? null : FINISHES[finish]!);
     size.setLabel(model.measure);
-    own.disabled = !model.isDressed;
+    undressed.disabled = !model.isDressed;
+    finishes.select.value = finish;
   };
 
   const finishes = chooser(
@@ -122,15 +131,15 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
     (chosen) => {
       finish = chosen;
       dress();
+      noted();
     },
   );
-  const own = finishes.select.querySelector<HTMLOptionElement>(`[value=${OWN}]`)!;
+  const undressed = finishes.select.querySelector<HTMLOptionElement>(`[value=${OWN}]`)!;
   const setModel = (to: Model): void => {
     const isFirst = !model;
     model = to;
     if (model.isDressed && (name === null || name === MODELS[0]!.value)) finish = OWN;
     else if (finish === OWN) finish = "clay";
-    finishes.select.value = finish;
     dress();
     if (isFirst || !isMoved) first();
     else placement.size = Math.min(placement.size, LARGEST);
@@ -143,11 +152,15 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
   const showModel = (file: File): void => {
     alert.clear();
     readModel(file).then((read) => {
+      own = { model: read, file: file.name };
       name = null;
-      models.select.querySelector("[value=file]")?.remove();
-      models.select.append(el("option", { value: "file", disabled: true, selected: true }, file.name));
+      offerOwn();
       setModel(read);
     }, alert.show);
+  };
+  const offerOwn = (): void => {
+    models.select.querySelector("[value=file]")?.remove();
+    models.select.append(el("option", { value: "file", disabled: true, selected: true }, own!.file));
   };
   const drop = fileDrop({
     prompt: "",
@@ -201,8 +214,10 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
   });
 
   const maps = new Map<string, [RadianceMap, Edit]>();
-  const lights = chooser("Lit by", [], (title) => view.setLight(...maps.get(title)!));
-  lights.element.hidden = true;
+  let lit = "";
+  const show = (title: string): void => {
+    if (title !== lit) view.setLight(...maps.get((lit = title))!);
+  };
 
   const save = el("button", { type: "button" }, "Save this picture");
   save.addEventListener("click", () =>
@@ -215,10 +230,24 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
   );
 
   setModel(ownModel(MODELS[0]!.value, stands.stand().kind));
+  const state = () => ({ name, file: name === null ? own!.file : "", finish, isMoved, placement, stand: stands.state() });
+  const set = (to: ReturnType<typeof state>): void => {
+    if (to.name === null && own?.file !== to.file) {
+      alert.show(`${to.file} stayed in the page that it was opened in: open it again`);
+      return;
+    }
+    stands.set(to.stand);
+    ({ name, finish, isMoved } = to);
+    if (name === null) offerOwn();
+    else models.select.value = name;
+    model = name === null ? own!.model : ownModel(name, stands.stand().kind);
+    Object.assign(placement, to.placement);
+    dress();
+    place();
+  };
   const controls = el(
     "div",
     { class: "stack" },
-    lights.element,
     models.element,
     finishes.element,
     drop.element,
@@ -231,18 +260,20 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
   const keys =
     "Drag the object, or move it by the arrow keys; plus and minus change its size, the comma and the full stop turn it.";
   const stage = el("div", { class: "stage" }, canvas);
+  stage.style.setProperty("--aspect", String(camera.width / camera.height));
   stage.append(stands.picker.element);
   const figure = el("figure", {}, stage, el("figcaption", { id: help }, keys), asks, status, said);
   return {
     element: el("div", { class: "beside" }, figure, controls),
     addLight: (title, map, edit) => {
-      if (!maps.has(title)) lights.select.append(el("option", { value: title }, title));
       maps.set(title, [map, edit]);
-      lights.select.value = title;
-      lights.element.hidden = maps.size < 2;
-      view.setLight(map, edit);
+      show(title);
     },
+    show,
     showModel,
+    remember: (history, bring) => {
+      noted = history.watch("object", state, set, bring);
+    },
     dispose: () => {
       drop.leave();
       view.dispose();

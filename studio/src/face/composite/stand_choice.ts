@@ -27,6 +27,17 @@ export interface StandChoice {
   stand: () => Stand;
   /** The middle of the clicked rectangle in the photo, and how wide an object on it may be. */
   rectangle: () => { middle: Pixel; most: number } | null;
+  /** All that was chosen, and the same chosen again; `changed` does not hear of it. */
+  state: () => StandState;
+  set: (to: StandState) => void;
+}
+
+/** What the object stands on, for histories. */
+export interface StandState {
+  name: StandName;
+  eyeHeight: number;
+  corners: readonly Pixel[] | null;
+  side: number;
 }
 
 /**
@@ -148,6 +159,17 @@ export function standChoice(
     picker,
     name: () => name,
     stand,
+    state: () => ({ name, eyeHeight, corners: rectangle?.corners ?? null, side: rectangle?.side ?? 1 }),
+    set: (to) => {
+      picker.end();
+      alert.clear();
+      said("");
+      ({ name, eyeHeight } = to);
+      rectangle = to.corners && { seen: planeOfRectangle(camera, to.corners), corners: to.corners, side: to.side };
+      height.set(eyeHeight);
+      side.set(to.side);
+      show();
+    },
     rectangle: () => {
       const at = stand();
       if (name !== "rectangle" || at.kind !== "plane") return null;

@@ -2,7 +2,8 @@ import { fileUrl, forgetJob, getBytes, type Angles } from "../../api";
 import { alertBox } from "../../shared/alert";
 import { el, freshId } from "../../shared/dom";
 import { slider } from "../../shared/fields";
-import { inWords } from "../../shared/frame";
+import { whereFrom } from "../../shared/frame";
+import type { History } from "../../shared/history";
 import { jobPanel } from "../../shared/job_panel";
 import { panorama } from "../../shared/panorama";
 import { whiteLevel } from "../../shared/radiance_map";
@@ -15,57 +16,84 @@ const FILE = "portrait.safetensors";
 const MOST_STRENGTH = 16;
 const SIZES_DEG = [5, 60] as const;
 
+/** The key lights' names, for buttons that are there before the person is. */
+export const KEYS = ["left", "right", "top", "rim", "front"] as const;
+
+export interface RelitPanel {
+  element: HTMLElement;
+  /** Takes the person apart where that has not begun; then puts the key light where it is named. */
+  open: (key?: string) => void;
+  leave: () => void;
+}
+
 /**
  * The photographed person of an estimate under a key light that is to be moved, over a dim fill.
- * The person is taken apart when the user asks for it: it takes some seconds.
+ * The person is taken apart when it is first opened: it takes some seconds. `bring` shows what a
+ * change of the history changes.
  */
-export function relitPanel(job: string, title: string): { element: HTMLElement; leave: () => void } {
+export function relitPanel(job: string, title: string, history: History, bring: () => void): RelitPanel {
   const work = jobPanel();
   const alert = alertBox();
-  const begin = el("button", { type: "button" }, "Relight the portrait");
-  const place = el("div", { class: "stack" }, el("div", { class: "row" }, begin), work.element, alert.element);
-  let picture: RelitPicture | null = null;
+  const again = el("button", { type: "button", hidden: true, onclick: () => open() }, "Relight the portrait");
+  const place = el("div", { class: "stack" }, el("div", { class: "row" }, again), work.element, alert.element);
+  let view: ReturnType<typeof relitView> | null = null;
+  let wanted: string | undefined;
+  let isUnderWay = false;
   let isLeft = false;
 
   const show = async (): Promise<void> => {
-    begin.disabled = true;
-    alert.clear();
-    try {
-      const done = await work.run({ kind: "portrait", job });
-      if (!done) return;
-      const person = readPerson(await getBytes(fileUrl(done.job, FILE)));
-      forgetJob(done.job); // all of it is here now
-      if (isLeft) return;
-      const view = relitView(person, title);
-      picture = view.picture;
-      place.replaceChildren(view.element);
-      view.focus();
-    } finally {
-      begin.disabled = false;
-    }
+    const done = await work.run({ kind: "portrait", job });
+    if (!done) return;
+    const person = readPerson(await getBytes(fileUrl(done.job, FILE)));
+    forgetJob(done.job); // all of it is here now
+    if (isLeft) return;
+    view = relitView(person, title);
+    place.replaceChildren(view.element);
+    view.remember(history, `key ${job}`, bring);
+    if (wanted) view.put(wanted);
+    view.focus();
   };
-  begin.addEventListener("click", () => void show().catch(alert.show));
+  const open = (key?: string): void => {
+    wanted = key ?? wanted;
+    if (view && key) view.put(key);
+    if (view || isUnderWay) return;
+    isUnderWay = true;
+    again.hidden = true;
+    alert.clear();
+    show()
+      .catch(alert.show)
+      .finally(() => {
+        isUnderWay = false;
+        again.hidden = view !== null;
+      });
+  };
   return {
-    element: el(
-      "section",
-      { class: "stack lamps", "aria-label": `The portrait relit: ${title}` },
-      el("h4", {}, "The portrait relit"),
-      place,
-    ),
+    element: el("section", { class: "stack relit-section", "aria-label": `The portrait relit: ${title}` }, place),
+    open,
     leave: () => {
       isLeft = true;
       work.cancel();
-      picture?.dispose();
+      view?.picture.dispose();
     },
   };
 }
 
-function relitView(person: Person, title: string): { element: HTMLElement; picture: RelitPicture; focus: () => void } {
+interface RelitView {
+  element: HTMLElement;
+  picture: RelitPicture;
+  /** Puts the key light where it is named. */
+  put: (key: string) => void;
+  /** Has its changes noted in a history under that name. */
+  remember: (history: History, name: string, bring: () => void) => void;
+  focus: () => void;
+}
+
+function relitView(person: Person, title: string): RelitView {
   const { facts } = person;
   const { width, height } = person.picture;
   const canvas = el("canvas", { class: "picture relit", role: "img" });
   // as large as the picture would be, however many pixels it has just now
-  canvas.style.width = `min(${width}px, ${(75 * width) / height}vh)`;
+  canvas.style.width = `min(${width}px, calc(var(--room, 75vh) * ${width / height}))`;
   canvas.style.aspectRatio = `${width} / ${height}`;
   const light = new KeyLight(person);
   const picture = new RelitPicture(canvas, person, light);
@@ -76,13 +104,15 @@ function relitView(person: Person, title: string): { element: HTMLElement; pictu
   const draw = (): void => {
     asked = 0;
     picture.draw(light.under(key.azimuth_deg, key.zenith_deg, strength, size_deg));
-    canvas.setAttribute("aria-label", `The portrait, its key light ${inWords(key.azimuth_deg, key.zenith_deg)}`);
+    canvas.setAttribute("aria-label", `The portrait, the key light ${whereFrom(key.azimuth_deg, key.zenith_deg)}`);
     canvas.dataset.shows = JSON.stringify([key.azimuth_deg, key.zenith_deg, strength, size_deg]);
   };
   const command = el("code", {});
+  let noted = (): void => {};
   const changed = (): void => {
     command.textContent = commandOf(facts, key, strength, size_deg);
     asked ||= requestAnimationFrame(draw); // once a frame, however fast the light moves
+    noted();
   };
 
   const said = el("p", { class: "visually-hidden", role: "status" });
@@ -93,18 +123,15 @@ function relitView(person: Person, title: string): { element: HTMLElement; pictu
     said.textContent = line;
   };
   const handles = lampHandles(map.element, [key], changed, say, () => ["Key light", "☀"]);
-  const presets = Object.entries(facts.keys).map(([name, place]) => {
-    const button = el("button", { type: "button" }, name.charAt(0).toUpperCase() + name.slice(1));
-    button.addEventListener("click", () => {
-      Object.assign(key, inMap(place));
-      handles.place();
-      changed();
-    });
-    return button;
-  });
+  const put = (name: string): void => {
+    Object.assign(key, inMap(facts.keys[name]!));
+    handles.place();
+    changed();
+  };
+  const presets = keyButtons(put);
 
   const strengths = slider({
-    label: "Strength of the key light",
+    label: "Strength",
     min: 0,
     max: MOST_STRENGTH,
     step: 0.25,
@@ -116,7 +143,7 @@ function relitView(person: Person, title: string): { element: HTMLElement; pictu
     },
   });
   const softness = slider({
-    label: "Softness of the key light",
+    label: "Softness",
     min: SIZES_DEG[0],
     max: SIZES_DEG[1],
     step: 1,
@@ -136,16 +163,19 @@ function relitView(person: Person, title: string): { element: HTMLElement; pictu
     words: (value) => `${value} % as photographed`,
     changed: (value) => picture.show(value / 100),
   });
-  const reset = el("button", { type: "button" }, "Reset");
-  reset.addEventListener("click", () => {
-    Object.assign(key, inMap(facts.keys.left!));
-    ({ size_deg, strength } = facts.usual);
+  const set = (to: Angles & { strength: number; size_deg: number }): void => {
+    Object.assign(key, { azimuth_deg: to.azimuth_deg, zenith_deg: to.zenith_deg });
+    ({ size_deg, strength } = to);
     strengths.set(strength);
     softness.set(size_deg);
-    wipe.set(0);
-    picture.show(0);
     handles.place();
     changed();
+  };
+  const reset = el("button", { type: "button" }, "Reset");
+  reset.addEventListener("click", () => {
+    wipe.set(0);
+    picture.show(0);
+    set({ ...inMap(facts.keys.left!), ...facts.usual });
   });
   const save = el("button", { type: "button" }, "Save this picture");
   save.addEventListener("click", () => {
@@ -171,25 +201,47 @@ function relitView(person: Person, title: string): { element: HTMLElement; pictu
       el(
         "div",
         { class: "stack" },
+        presets,
+        strengths.element,
+        softness.element,
+        wipe.element,
+        el("div", { class: "row keys" }, holdButton(picture, () => wipe.value / 100), reset, save),
         el(
           "figure",
           {},
           map.element,
           el("figcaption", { id: help }, "Drag the key light, or move it by the arrow keys. Middle: where the camera looks; either end: at the camera."),
         ),
-        el("div", { class: "row", role: "group", "aria-label": "Key light from" }, ...presets),
-        strengths.element,
-        softness.element,
-        wipe.element,
-        el("div", { class: "row" }, holdButton(picture, () => wipe.value / 100), reset, save),
-        el("p", { class: "muted small" }, alone),
-        el("p", { class: "command small" }, command),
+        el(
+          "details",
+          {},
+          el("summary", {}, "At full resolution"),
+          el("p", { class: "muted small" }, alone),
+          el("p", { class: "command small" }, command),
+        ),
         said,
       ),
     ),
     picture,
-    focus: () => map.element.querySelector("button")!.focus(),
+    put,
+    remember: (history, name, bring) => {
+      noted = history.watch(
+        name,
+        () => ({ azimuth_deg: key.azimuth_deg, zenith_deg: key.zenith_deg, strength, size_deg }),
+        set,
+        bring,
+      );
+    },
+    focus: () => map.element.querySelector("button")!.focus({ preventScroll: true }),
   };
+}
+
+/** A button for each key light by name. */
+export function keyButtons(put: (name: string) => void): HTMLElement {
+  const buttons = KEYS.map((name) =>
+    el("button", { type: "button", onclick: () => put(name) }, name.charAt(0).toUpperCase() + name.slice(1)),
+  );
+  return el("div", { class: "row keys", role: "group", "aria-label": "Key light from" }, ...buttons);
 }
 
 /** Shows the photograph as it was while it is held down, by pointer or by key, then so much of it. */
