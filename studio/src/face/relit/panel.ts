@@ -97,6 +97,8 @@ function relitView(person: Person, title: string): { element: HTMLElement; pictu
     const button = el("button", { type: "button" }, name.charAt(0).toUpperCase() + name.slice(1));
     button.addEventListener("click", () => {
       Object.assign(key, inMap(place));
+      strength = facts.strengths[name]!;
+      strengths.set(strength);
       handles.place();
       changed();
     });
