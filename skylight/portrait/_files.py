@@ -11,16 +11,13 @@ from PIL import Image, ImageDraw, ImageFont
 
 from skylight.estimation._kept import KeptFace
 from skylight.estimation._summary import PhotoEstimate
-from skylight.imaging._colour import srgb_to_linear, tone_map
-from skylight.imaging._photo import Photo
+from skylight.imaging._colour import tone_map
 from skylight.io._files import write_light, write_png
 from skylight.portrait._lights import NewLight
 from skylight.portrait._relit import Keep, Portrait, light_in_photo, portrait_of
 from skylight.work._progress import Progress
 from skylight.work._threads import cores
 
-_MIDDLE = 20, 230  # codes that are neither dark nor clipped
-_ROUNDED = 0.05  # what codes and gammas may differ by
 KNEE = 0.8  # of white: brighter than this (or than it was) a picture approaches white softly
 
 
@@ -67,18 +64,8 @@ def relit_portrait(
         exposure=used,
         warning=face.warning,
         notes=(*light.notes, *portrait.doubts),
-        white=_white_of(face.photo),
+        white=portrait.white,
     )
-
-
-def _white_of(photo: Photo) -> float:
-    """The linear value that ``photo.encoded`` shows as white, by its middle codes."""
-    middle = ((photo.encoded > _MIDDLE[0]) & (photo.encoded < _MIDDLE[1])).all(2)
-    if not middle.any():
-        return 1.0
-    codes = torch.from_numpy(photo.encoded[middle]).float() / 255
-    ratio = float(photo.pixels[torch.from_numpy(middle)].sum() / srgb_to_linear(codes).sum())
-    return 1.0 if abs(ratio - 1) < _ROUNDED else ratio
 
 
 def taken_apart(

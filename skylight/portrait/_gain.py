@@ -20,7 +20,7 @@ from skylight.sphere._envmap import LUMINANCE
 
 # Lengths are in heights of the face.
 SHARP = 0.02  # standard deviation of the Gaussian of skin's shading: what a fitted head is off by
-SOFT = 0.08  # and of that of hair and clothes
+SOFT = 0.05  # and of that of hair and clothes
 TINT = 0.12  # and of the colour of light
 EXACT = 0.01  # and of the shading whose edges the picture places
 LOCAL = 0.05  # and of the neighbourhood in which shading is compared with the picture
@@ -30,11 +30,12 @@ CODES = 8.0  # of 255: less is no edge of a person
 # Logarithms.
 BRIGHTER, DARKER, TINTED = 1.0, 2.0, 0.1  # what gains approach on either side of skin's mean
 TEXTURE = 0.05  # standard deviation of skin's albedo
+CLOTH = 0.5  # and what no skin's differs by from a face's mean, over all channels
 HUE = 0.15  # what skin's own colour differs by from place to place
 PORES = 0.15  # what the guided filter takes for texture
 BASE = 0.04  # of the mean shading, in addition: light that bounces between the parts of a face
 SHINE = 0.7  # of the specular reflection, which no estimate knows well
-_DARKEST = 0.004  # of white, before logarithms: noise of the darkest pixels
+DARKEST = 0.004  # of white, before logarithms: noise of the darkest pixels
 _LUMINANCE = np.array(LUMINANCE, np.float32)
 
 
@@ -128,13 +129,15 @@ class Level:
         return Level(level=level, colour=np.log(np.maximum(colour, 1e-3)))
 
 
-def bounded(gain: Float[ndarray, "*s"]) -> Float[ndarray, "*s"]:
+def bounded(
+    gain: Float[ndarray, "*s"], brighter: float | Float[ndarray, "*s"] = BRIGHTER
+) -> Float[ndarray, "*s"]:
     """A logarithm with a soft knee: ``b tanh(x / b)``, b of its sign.
 
     Shadows brightened further show noise, which e times the light makes ``e^(1 / 2.4)``, 1.5 times
     as large in a picture's codes; skin darkened further loses its texture.
     """
-    limit = np.where(gain > 0, np.float32(BRIGHTER), np.float32(DARKER))
+    limit = np.where(gain > 0, np.float32(brighter), np.float32(DARKER))
     return limit * np.tanh(gain / limit)
 
 
@@ -185,7 +188,7 @@ def unseen(
     0..1 too, places its edges.
     """
     size, small_size = picture.shape[:2], before.level.shape
-    seen = np.log(np.maximum(picture @ _LUMINANCE, 0) + _DARKEST)
+    seen = np.log(np.maximum(picture @ _LUMINANCE, 0) + DARKEST)
     small = cv2.resize(seen, small_size[::-1], interpolation=cv2.INTER_AREA)
     skin = plain > 0
 
@@ -231,13 +234,16 @@ def _unseen_colour(
     slopes = np.array([_slope(colour[skin][:, k], shown[skin][:, k]) for k in range(3)], np.float32)
     # where no skin shows the colour of light, as on cloth of any colour, nothing tells that it was
     # there: taken away, it would turn white cream
-    bare = blurred(on.bare[..., None], on.covered, TINT * on.face_px)
+    bare = blurred(on.bare[..., None], on.covered, SHARP * on.face_px)
     hidden = (1 - slopes * bare) * (colour - colour[skin].mean(0))
     mean = np.log(small[skin].mean(0) / (small[skin].mean(0) @ _LUMINANCE))
     near = blurred(small, plain, LOCAL * on.face_px) + np.float32(1e-9)
     lacks = mean - np.log(near / (near @ _LUMINANCE)[..., None])
-    share = cv2.GaussianBlur(plain, (0, 0), EDGE * on.face_px)[..., None]
-    return hidden, share * HUE * np.tanh(lacks / HUE)
+    # a collar before the neck has none of skin's colour, though it is as bright
+    alike = np.maximum(1 - (lacks**2).sum(2) / CLOTH**2, 0) ** 2
+    dark = np.clip(2 - 2 * (near @ _LUMINANCE) / float(small[skin].mean(0) @ _LUMINANCE), 0, 1)
+    share = cv2.GaussianBlur(plain, (0, 0), EDGE * on.face_px) * np.maximum(alike, dark)
+    return hidden, share[..., None] * HUE * np.tanh(lacks / HUE)
 
 
 def _slope(light: Float[ndarray, " n"], picture: Float[ndarray, " n"]) -> float:

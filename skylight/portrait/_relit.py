@@ -4,16 +4,17 @@ The picture is multiplied by ``exp(G)``, and never divided by anything that it w
 L the level of a light (:class:`~skylight.portrait._gain.Level`) on head, hair and bust, A the light
 found and B the new one ::
 
-    G = m + q bounded(ln L_B - ln L_A + (1 - c) U - m) + tint,
+    G = v(m + q bounded(ln L_B - ln L_A + (1 - c) U - m)) + tint,
 
 m being the mean of ``ln L_B - ln L_A`` over skin, U what of A the picture does not show
 (:class:`~skylight.portrait._gain.Unseen`), c what the two lights share, and q below 1 where there
 are doubts. So where the light stays, the picture stays. ``tint`` is the change of the light's
-colour, in wide means.
+colour, in wide means. The bound, v and ``tint`` leave white and black what they are
+(:mod:`skylight.portrait._room`).
 
 What no surface covers gets the gain of its surroundings, what lies behind one gain: the ratio of
 the lights' irradiances of vertical surfaces, in the mean over all azimuths. Between the two the
-matte mixes logarithms.
+matte mixes: it is how much of a pixel's light is the person's.
 
 All of that is done to what the camera saw: an :class:`~skylight.imaging._edits.Edit` of the
 picture is undone before and done after.
@@ -48,9 +49,20 @@ from skylight.portrait._gain import (
     bounded,
     enlarged,
     float32,
+    resized,
     soft_matte,
     tinted,
     unseen,
+)
+from skylight.portrait._room import (
+    above_veil,
+    base_of,
+    below_white,
+    coloured,
+    headroom,
+    light_share,
+    veil_of,
+    white_of,
 )
 from skylight.portrait._surface import BUST, FACE_PX, HAIR, PersonSurface
 from skylight.sphere._envmap import LUMINANCE, EnvironmentMap, luminance
@@ -79,13 +91,15 @@ SHARED_ROWS = 16  # cells of 11 degrees: how far a lamp moves until it is anothe
 class Portrait:
     """A photograph taken apart, so that any light can be put in the place of ``found``.
 
-    ``scene`` is the photograph before its ``edit``, ``matte`` (h,w) how much of a pixel is the
-    person's. At the pixels of ``person``, ``shading`` and ``specular`` (p,q,3) are S_A and g_A,
-    ``on`` says where they show skin and any surface, and ``known`` where that stands for what the
-    picture shows, as the neck behind long hair does not. ``before`` is L_A, ``unseen`` U, and
-    ``mean`` (3,) the mean S_A of skin. ``albedo`` is that of skin in luminance. ``specular_scale``
-    is at most that whose mean g_A over skin is :data:`MOST_SPECULAR` of the photograph's in each
-    channel. ``strength`` is q, and ``doubts`` say why it is below 1.
+    ``scene`` is the photograph before its ``edit``, ``matte`` (h,w) how much of a pixel's light is
+    the person's; ``skin`` (h,w) is how much of it shows skin; ``base`` (h,w), ``veil`` and
+    ``white`` are of :mod:`skylight.portrait._room`. At the pixels of ``person``, ``shading`` and
+    ``specular`` (p,q,3) are S_A and g_A, ``on`` says where they show skin and any surface, and
+    ``known`` where that stands for what the picture shows, as the neck behind long hair does not.
+    ``before`` is L_A, ``unseen`` U, and ``mean`` (3,) the mean S_A of skin. ``albedo`` is that of
+    skin in luminance. ``specular_scale`` is at most that whose mean g_A over skin is
+    :data:`MOST_SPECULAR` of the photograph's in each channel. ``strength`` is q, and ``doubts`` say
+    why it is below 1.
     """
 
     photo: Float[ndarray, "h w 3"]
@@ -97,6 +111,10 @@ class Portrait:
     grey: bool
     albedo: float
     matte: Float[ndarray, "h w"]
+    base: Float[ndarray, "h w"]
+    skin: Float[ndarray, "h w"]
+    veil: float
+    white: float
     shading: Float[ndarray, "p q 3"]
     specular: Float[ndarray, "p q 3"]
     on: Surface
@@ -118,6 +136,7 @@ class Portrait:
         *,
         grey: bool = False,
         edit: Edit = UNEDITED,
+        white: float = 1.0,
     ) -> "Portrait":
         """From a linear photograph, ``edit`` done to it, and the light ``found`` in its units.
 
@@ -142,6 +161,8 @@ class Portrait:
         hidden = unseen(picture, before, exact, float32(plain) if plain.any() else on.bare, on)
         head = float32((regions >= 0) & (regions != BUST))
         doubts = _doubts(small[on_skin], found, hidden)
+        face_px = person.face_px * len(picture) / len(regions)  # in the picture's pixels
+        cut = soft_matte(picture, float32(matte), head, person.face_px)
         return Portrait(
             photo=float32(photo.numpy()),
             edit=edit,
@@ -151,7 +172,11 @@ class Portrait:
             specular_scale=most * specular_scale,
             grey=grey,
             albedo=albedo,
-            matte=soft_matte(picture, float32(matte), head, person.face_px),
+            matte=light_share(picture, cut, face_px),
+            base=base_of(picture, white, face_px),
+            skin=resized(cv2.GaussianBlur(on.bare, (0, 0), SHARP * on.face_px), picture.shape[:2]),
+            veil=veil_of(picture, white),
+            white=white,
             shading=shading,
             specular=specular,
             on=on,
@@ -186,16 +211,20 @@ class Portrait:
         other = 1 - shared_light(self.found, light)
         typical = float(self.on.mean(gain[..., None])[0])
         changed = gain + math.log(factor)
+        cast = self.on.mean(tint)
         tint = tinted(tint + other * self.unseen.colour, changed, self.unseen.skin, self.on)
         large = enlarged(np.dstack([tint, gain]), self.known, size)
         gain = large[..., 3] + other * self.unseen.level - typical
-        person = large[..., :3] + (self.strength * bounded(gain) + typical)[..., None]
-        person += math.log(factor)
-        behind = np.zeros(3, np.float32)
+        usual = typical + math.log(factor)
+        gain = below_white(gain, self.base, self.skin)
+        level = self.strength * bounded(gain, headroom(self.base, usual)) + usual
+        level = above_veil(level, self.base, self.skin, self.veil, usual)
+        tint = cast + coloured(self.base)[..., None] * (large[..., :3] - cast)
+        behind = np.ones(3, np.float32)
         if keep != "place":
-            behind = np.log(np.maximum(factor * self._behind(light), 1e-9))
+            behind = np.maximum(factor * self._behind(light), 1e-9)
         within = self.matte[..., None]
-        picture = self.scene * np.exp(within * person + (1 - within) * behind)
+        picture = self.scene * (within * np.exp(tint + level[..., None]) + (1 - within) * behind)
         # what an edit made black is not known again: where nothing changed, nothing changes
         picture = self._edited(picture) + (self.photo - self._edited(self.scene))
         return exposure * np.maximum(picture, 0), exposure * factor
@@ -322,6 +351,7 @@ def portrait_of(
         matte,
         grey=photo.grey,
         edit=reflection.edit,
+        white=white_of(photo),
     )
 
 

@@ -13,7 +13,7 @@ from skylight.errors import InputError
 from skylight.faces._model import Region
 from skylight.faces._observe import SKIN_SPECULAR
 from skylight.imaging._edits import UNEDITED, Edit
-from skylight.portrait._gain import BRIGHTER, DARKER, TINTED, bounded, soft_matte
+from skylight.portrait._gain import BRIGHTER, DARKER, TINTED, Level, bounded, soft_matte
 from skylight.portrait._relit import MOST_SPECULAR, Keep, Portrait, shared_light, upright_irradiance
 from skylight.portrait._surface import BUST, PersonSurface, Shading, scaled, softened
 from skylight.sphere._envmap import LUMINANCE, EnvironmentMap
@@ -251,17 +251,23 @@ def test_shadows_that_the_picture_shows_are_taken_away() -> None:
     assert varies(picture) < 0.6 * varies(seen)
 
 
-def test_gains_are_bounded_on_either_side_of_their_mean() -> None:
+def test_gains_are_bounded_above_the_photograph_and_below_their_mean() -> None:
     black = EnvironmentMap(radiance=torch.full((64, 128, 3), 1e-4))
     lamp = black.with_light(direction(80.0, 80.0), torch.full((3,), 10.0))
     seen = image(even())
-    picture, _ = portrait(even(), seen).under(lamp)
+    one = portrait(even(), seen)
+    picture, _ = one.under(lamp)
     gain = np.log((picture[on_skin()] @ LUMINANCE_) / (seen[on_skin()] @ LUMINANCE_))
-    assert np.ptp(gain) < BRIGHTER + DARKER + 2 * TINTED
+    shading, specular = one.shaded_by(lamp)
+    level = Level.of(shading, specular / one.albedo, one.on).level - one.before.level
+    mean = float(one.on.mean(level[..., None])[0])
+    assert mean < -0.5
+    assert gain.max() < BRIGHTER + TINTED
+    assert gain.min() > mean - DARKER - TINTED
     assert np.ptp(gain) > 1  # and there is something to bound
     x = np.linspace(-0.1, 0.1, 5, dtype=np.float32)
     np.testing.assert_allclose(bounded(x), x, atol=1e-3)
-    np.testing.assert_allclose(bounded(np.float32([-90, 90])), [-DARKER, BRIGHTER])
+    np.testing.assert_allclose(bounded(np.array([-90, 90], np.float32)), [-DARKER, BRIGHTER])
 
 
 def test_grey_shadows_get_the_colour_of_skin_with_their_new_light() -> None:
@@ -279,6 +285,51 @@ def test_grey_shadows_get_the_colour_of_skin_with_their_new_light() -> None:
     same, _ = portrait(old, seen).under(old)
     assert red(seen) + 0.02 < red(picture) < red(image(old))
     assert red(same) == pytest.approx(red(seen), abs=1e-5)
+
+
+def test_a_white_collar_is_not_taken_for_grey_skin() -> None:
+    """On the neck of the model, where a photograph shows cloth: as bright as skin, and grey."""
+    light = sunny(50.0, 45.0)
+    neck = (person().region_image() == Region.NECK).astype(np.uint8)
+    collar = cv2.erode(neck, np.ones((5, 5), np.uint8)) > 0
+    assert collar.sum() > 50
+    lacks: list[float] = []
+    for level in (1.0, 0.1):
+        seen = image(light)
+        bright = float(np.median(seen[on_skin()] @ LUMINANCE_))
+        seen[neck > 0] = level * bright
+        lacks.append(float(np.abs(portrait(light, seen).unseen.skin[collar]).mean()))
+    assert lacks[0] < 0.04  # of cloth
+    assert lacks[1] > 0.08  # and of skin that lies in shadow
+
+
+def test_cloth_beside_skin_keeps_its_colour() -> None:
+    """What a place lacks of the light's mean colour is not made up for where no skin shows it."""
+    red = EnvironmentMap(radiance=even(0.3).radiance * torch.tensor([0.6, 1.0, 1.6]))
+    light = red.with_light(direction(60.0, 60.0), torch.tensor([3.0, 2.0, 1.0]))
+    one = portrait(light, image(light))
+    away = cv2.dilate(one.on.bare, np.ones((5, 5), np.uint8)) == 0
+    cloth = (person().region_image() == BUST) & away
+    assert cloth.sum() > 10
+    varies = one.before.colour - one.on.mean(one.before.colour)
+    assert np.abs(varies[cloth]).mean() > 0.02
+    off = one.unseen.colour[cloth] - varies[cloth]
+    assert np.abs(off).mean() < 0.1 * np.abs(varies[cloth]).mean()
+
+
+def test_a_key_light_leaves_what_is_black_and_what_is_white() -> None:
+    """Clothes at the camera's black and at white, in more light than skin gets in the mean."""
+    old, new = even(0.4), sunny(0.0, 5.0)
+    cloth = cv2.erode((person().region_image() == BUST).astype(np.uint8), np.ones((3, 3))) > 0
+    most: list[float] = []
+    for level in (0.002, 0.1, 0.97):
+        seen = image(old)
+        seen[cloth] = level
+        picture, _ = portrait(old, seen).under(new, keep="brightness")
+        most.append(float(picture[cloth].max()) / level)
+    assert most[1] > 1.3
+    assert most[0] < 1 + 0.3 * (most[1] - 1)
+    assert most[2] < 1.06
 
 
 def test_what_cannot_be_relit_is_relit_weaker_and_said() -> None:

@@ -1,8 +1,8 @@
 """A person taken apart for a page that moves the key light: shading and transport, without light.
 
 The page adds, at each of the m points of the person's surface, to the shading S_0 and specular
-reflection g_0 by the fill (:mod:`skylight.portrait._keys`) a key light's, of irradiance E on what
-faces it and g its lobe ::
+reflection g_0 by the fill (:mod:`skylight.portrait._keys`), which is even and so one number times
+the colour of all light, a key light's, of irradiance E on what faces it and g its lobe ::
 
     S = f S_0 + E / pi T,    T = sum_w g(w) V(w) <n, w>+ dw,
     g = f g_0 + specular_scale E T f_s(n, d, v),
@@ -38,13 +38,24 @@ from skylight.imaging._photo import Photo
 from skylight.io._bounded import json_content, write_json
 from skylight.io._tensors import write_tensors
 from skylight.portrait._files import KNEE
-from skylight.portrait._gain import BASE, BRIGHTER, DARKER, SHARP, SHINE, SOFT, TINT, TINTED
+from skylight.portrait._gain import (
+    BASE,
+    BRIGHTER,
+    DARKER,
+    DARKEST,
+    SHARP,
+    SHINE,
+    SOFT,
+    TINT,
+    TINTED,
+)
 from skylight.portrait._keys import (
     KEY_OVER_FILL,
     KEYS,
     USUAL_DEG,
     brightness_of_ball,
     fill_of,
+    usual_strength,
 )
 from skylight.portrait._relit import (
     Portrait,
@@ -52,8 +63,9 @@ from skylight.portrait._relit import (
     light_in_photo,
     portrait_of,
 )
+from skylight.portrait._room import EDGE_OF_WHITE, LEAST_ROOM, SHOULDER
 from skylight.portrait._surface import scaled
-from skylight.sphere._envmap import luminance
+from skylight.sphere._envmap import LUMINANCE, luminance
 from skylight.studio.tasks._uploads import open_photo
 from skylight.work._progress import StageProgress
 from skylight.work._threads import cores
@@ -118,18 +130,24 @@ def take_apart(
 def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Tensors and numbers for the page, in the photograph's units.
 
-    ``picture`` (h,w,4) has the photograph's sRGB codes, cut off at white, and its matte. ``crop``
+    ``picture`` (h,w,4) has the photograph's sRGB codes, cut off at white, and its matte; ``crop``
     (left, top, width, height) is the part of the shading's picture, ``size`` (width, height), that
     holds person and surface; ``places`` (m,) are the points' in it. ``visible`` (m,256) has a bit
-    for each of 32 x 64 directions, the lowest first. ``unseen`` (h,w) is that of
-    :class:`~skylight.portrait._gain.Unseen`, from -:data:`_UNSEEN` to that in 255 steps.
-    ``found_power`` and ``rest_power`` are :func:`~skylight.portrait._relit.coarse_power`;
-    ``found_map`` is to be looked at. The rest of the light is R of :mod:`skylight.portrait._keys`,
-    whose c and B are ``colour`` and ``fill``; ``ball`` is how bright the light found makes the
-    ball.
+    for each of 32 x 64 directions, the lowest first. ``marks`` (h,w,3) are U of
+    :class:`~skylight.portrait._gain.Unseen`, from -:data:`_UNSEEN` to that in 255 steps, and
+    :func:`~skylight.portrait._room.base_of` from ``ln DARKEST`` to 0, and how much shows skin.
+    ``found_power`` is
+    :func:`~skylight.portrait._relit.coarse_power`; ``found_map`` is to be looked at. ``occlusion``
+    and ``fill_gloss`` are S_0 and g_0 in luminance, over ``fill``, which is how bright the fill R
+    of :mod:`skylight.portrait._keys` makes the ball, as ``ball`` is how bright the light found
+    does. c is ``colour``.
     """
-    surface, rest = portrait.person.surface, fill_of(portrait.found)
-    rest_shading, rest_specular = portrait.shaded_by(rest)
+    surface, fill = portrait.person.surface, fill_of(portrait.found)
+    level = brightness_of_ball(fill)
+    fill_shading, fill_specular = (
+        image @ np.array(LUMINANCE, np.float32) / np.float32(level)
+        for image in portrait.shaded_by(fill)
+    )
     rows, columns = np.nonzero(portrait.on.covered)  # row by row, as the surface has them
     left, top, width, height = _crop(portrait)
     codes = (linear_to_srgb(torch.from_numpy(portrait.photo).clamp(0, 1)) * 255).round()
@@ -139,23 +157,28 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     of_points = {
         "shading": portrait.shading,
         "glossy": portrait.specular,
-        "rest_shading": rest_shading,
-        "rest_glossy": rest_specular,
+        "occlusion": fill_shading,
+        "fill_gloss": fill_specular,
         "unseen_tint": portrait.unseen.colour,
         "skin_tint": portrait.unseen.skin,
         "bare": portrait.on.bare,
         "known": portrait.known,
     }
-    steps = 127.5 * (portrait.unseen.level / _UNSEEN + 1)
+    marks = np.dstack(
+        [
+            127.5 * (portrait.unseen.level / _UNSEEN + 1),
+            255 * (1 - portrait.base / math.log(DARKEST)),
+            255 * portrait.skin,
+        ]
+    )
     tensors = {
         "picture": torch.cat([codes, matte[..., None]], 2).to(torch.uint8),
-        "unseen": torch.from_numpy(steps.round().clip(0, 255)).to(torch.uint8),
+        "marks": torch.from_numpy(marks.round().clip(0, 255)).to(torch.uint8),
         "places": torch.from_numpy((rows - top) * width + columns - left).int(),
         "normals": portrait.person.normals.float(),
         "views": -normalize(surface.positions, dim=1).float(),
         "visible": _bits(portrait.person.sight.visible),
         "found_power": coarse_power(portrait.found).float(),
-        "rest_power": coarse_power(rest).float(),
         "found_map": portrait.found.resize(min(_MAP_ROWS, portrait.found.layout[0])).radiance,
     }
     tensors |= {
@@ -167,9 +190,10 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "size": portrait.on.covered.shape[::-1],
         "crop": [left, top, width, height],
         "keys": dict(KEYS),
+        "strengths": {key: usual_strength(key) for key in KEYS},
         "usual": {"size_deg": USUAL_DEG, "strength": KEY_OVER_FILL},
         "colour": colour.tolist(),
-        "fill": brightness_of_ball(rest),
+        "fill": level,
         "ball": brightness_of_ball(portrait.found),
         "gloss": portrait.specular_scale,
         "lobe": {"f0": SKIN_SPECULAR.f0, "alpha": SKIN_SPECULAR.alpha},
@@ -177,6 +201,11 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "base": BASE,
         "shine": SHINE / portrait.albedo,
         "most": [BRIGHTER, DARKER],
+        "darkest": math.log(DARKEST),
+        "veil": portrait.veil,
+        "least_room": LEAST_ROOM,
+        "shoulder": SHOULDER,
+        "edge_of_white": EDGE_OF_WHITE,
         "tinted": TINTED,
         "unseen": _UNSEEN,
         "doubted": portrait.strength,

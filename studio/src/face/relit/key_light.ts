@@ -28,12 +28,6 @@ export interface Lit {
   common: number;
 }
 
-/** skylight.portrait._gain.Level: of level, and of colour (three numbers a cell). */
-interface Level {
-  level: Float32Array;
-  colour: Float32Array;
-}
-
 /** Some of the directions that points see or not, by pixel; a surface that faces it receives 1 of their weights. */
 export interface Lobe {
   middle: Vec3;
@@ -98,12 +92,12 @@ export class KeyLight {
   private readonly skin: Float32Array;
   private readonly unseenTint: Float32Array;
   private readonly skinTint: Float32Array;
-  private readonly before: Level;
-  /** The rest's colours, smoothed: one array a channel. */
-  private readonly restTint: Float32Array[];
+  /** skylight.portrait._gain.Level of the light found, and its colour (three numbers a cell). */
+  private readonly before: Float32Array;
+  private readonly colour: Float32Array;
 
   constructor(private readonly person: Person) {
-    const { facts, places, shading, glossy, restShading } = person;
+    const { facts, places, shading, glossy } = person;
     const [left, top, width, height] = facts.crop;
     const grid = { left, top, width: (width + 1) >> 1, height: (height + 1) >> 1, step: 2 };
     this.grid = grid;
@@ -119,9 +113,8 @@ export class KeyLight {
       this.summed(values, 3).map((sum, i) => sum / Math.max(counts[Math.floor(i / 3)]!, 1));
     this.unseenTint = mean3(person.unseenTint);
     this.skinTint = mean3(person.skinTint);
-    this.restTint = this.smoothTint(restShading);
-    const mean = luminance(...triple(this.meanOnSkin(shading, 3)));
-    this.before = this.levelOf(this.wholeOf(shading, glossy), this.smoothTint(shading), mean);
+    this.colour = this.colourOf(shading);
+    this.before = this.levelOf(luminances(shading), luminances(glossy)).level;
   }
 
   /** `sum_w g(w) V(w) <n, w>+ dw / pi` at each point, and as much of the gloss; two numbers a point. */
@@ -169,25 +162,22 @@ export class KeyLight {
    * skylight.portrait._keys.
    */
   under(azimuthDeg: number, zenithDeg: number, strength: number, sizeDeg: number): Lit {
-    const { facts, restShading, restGlossy } = this.person;
+    const { facts, occlusion, fillGloss } = this.person;
     const towards = fromAngles(azimuthDeg, zenithDeg);
     const dimmed = facts.ball / (facts.fill * (1 + strength * ballWeight(towards)));
-    const key = triple(facts.colour.map((value) => dimmed * strength * facts.fill * value));
     // a disc's diameter is four spreads of a lobe
     const from = lobe(towards, (sizeDeg * Math.PI) / 180 / 4);
     const transport = this.transport(from);
-    const lightOf = (rest: Float32Array, offset: number): Float32Array =>
-      rest.map((fill, at) => dimmed * fill + key[at % 3]! * transport[2 * Math.floor(at / 3) + offset]!);
-    const [shading, glossy] = [lightOf(restShading, 0), lightOf(restGlossy, 1)];
-    const lit = this.tint.of(this.summed(transport, 2).filter((_, i) => i % 2 === 0));
-    const tint = this.restTint.map((rest, k) => rest.map((fill, i) => dimmed * fill + key[k]! * lit[i]!));
-    const received = triple(this.meanOnSkin(shading, 3));
-    const after = this.levelOf(this.wholeOf(shading, glossy), tint, luminance(...received));
-    const common = this.common(from, key, dimmed);
-    const level = after.level.map((value, i) => value - this.before.level[i]!);
-    const colour = after.colour.map((value, i) => value - this.before.colour[i]!);
+    // fill and key are of one colour, so all that they light is
+    const lightOf = (ofFill: Float32Array, offset: number): Float32Array =>
+      ofFill.map((share, i) => dimmed * facts.fill * (share + strength * transport[2 * i + offset]!));
+    const after = this.levelOf(lightOf(occlusion, 0), lightOf(fillGloss, 1));
+    const level = after.level.map((value, i) => value - this.before[i]!);
+    const common = this.common(from, dimmed, strength);
+    const ours = facts.colour.map((value) => Math.log(Math.max(value, 1e-3)));
+    const colour = this.colour.map((value, i) => ours[i % 3]! - value);
     // white is balanced so that skin keeps its mean colour: it is the same place
-    const isBalanced = received.every((value) => value > 0);
+    const isBalanced = after.mean > 0;
     const cast = this.meanOfCells(colour, 3);
     const shift = this.meanOfCells(this.unseenTint, 3).map((value) => (1 - common) * value);
     const gain = new Float32Array(4 * level.length);
@@ -203,49 +193,44 @@ export class KeyLight {
     return { gain: this.filling.fill(gain, 4), typical: this.meanOfCells(level, 1)[0]!, common };
   }
 
-  /** The luminance of shading and, in part, gloss over the albedo, one number a cell, summed. */
-  private wholeOf(shading: Float32Array, glossy: Float32Array): Float32Array {
-    const whole = new Float32Array(shading.length / 3);
-    const { shine } = this.person.facts;
-    for (let i = 0, at = 0; i < whole.length; i++, at += 3)
-      whole[i] =
-        luminance(shading[at]!, shading[at + 1]!, shading[at + 2]!) +
-        shine * luminance(glossy[at]!, glossy[at + 1]!, glossy[at + 2]!);
-    return this.summed(whole, 1);
-  }
-
-  private levelOf(whole: Float32Array, tint: Float32Array[], mean: number): Level {
-    const base = this.person.facts.base * mean;
+  /** Of luminances of shading and gloss, one number a point; and the mean shading of skin. */
+  private levelOf(shading: Float32Array, glossy: Float32Array): { level: Float32Array; mean: number } {
+    const { base, shine } = this.person.facts;
+    const mean = this.meanOnSkin(shading);
+    const whole = this.summed(shading.map((value, i) => value + shine * glossy[i]!), 1);
     const near = this.sharp.of(whole);
     const far = this.soft.of(whole);
     const level = near.map((value, i) => {
       const skin = this.skin[i]!;
-      return Math.log(Math.max(skin * value + (1 - skin) * far[i]! + base, 1e-9));
+      return Math.log(Math.max(skin * value + (1 - skin) * far[i]! + base * mean, 1e-9));
     });
-    const [red, green, blue] = tint as [Float32Array, Float32Array, Float32Array];
-    const colour = new Float32Array(3 * level.length);
-    for (let i = 0; i < level.length; i++) {
-      const bright = Math.max(luminance(red[i]!, green[i]!, blue[i]!), 1e-9);
-      for (let k = 0; k < 3; k++) colour[3 * i + k] = Math.log(Math.max(tint[k]![i]! / bright, 1e-3));
-    }
-    return { level, colour };
+    return { level, mean };
   }
 
-  private smoothTint(values: Float32Array): Float32Array[] {
-    const sums = this.summed(values, 3);
-    return [0, 1, 2].map((k) => this.tint.of(sums.filter((_, i) => i % 3 === k)).slice());
+  private colourOf(shading: Float32Array): Float32Array {
+    const sums = this.summed(shading, 3);
+    const [red, green, blue] = [0, 1, 2].map((k) => this.tint.of(sums.filter((_, i) => i % 3 === k)).slice());
+    const colour = new Float32Array(sums.length);
+    for (let i = 0; i < red!.length; i++) {
+      const own = [red![i]!, green![i]!, blue![i]!] as const;
+      const bright = Math.max(luminance(...own), 1e-9);
+      for (let k = 0; k < 3; k++) colour[3 * i + k] = Math.log(Math.max(own[k]! / bright, 1e-3));
+    }
+    return colour;
   }
 
   /** `max(0, 1 - |p - q|_1)` of skylight.portrait._relit.shared_light. */
-  private common({ middle, spreadRad }: Lobe, key: Vec3, dimmed: number): number {
-    const { foundPower, restPower } = this.person;
-    const power = restPower.map((value) => dimmed * value);
+  private common({ middle, spreadRad }: Lobe, dimmed: number, strength: number): number {
+    const { foundPower, facts } = this.person;
+    // an even light of radiance 1 makes the ball as bright as pi
+    const solid = solidAngles(2 * SHARED_ROWS, SHARED_ROWS);
+    const power = foundPower.map((_, i) => ((dimmed * facts.fill) / Math.PI) * solid[Math.floor(i / (2 * SHARED_ROWS))]!);
     const rows = 4 * SHARED_ROWS;
     const { pixels, weights } = lobe(middle, spreadRad, rows, false);
     pixels.forEach((pixel, k) => {
       const row = Math.floor(pixel / (2 * rows) / 4);
       const column = Math.floor((pixel % (2 * rows)) / 4);
-      power[row * 2 * SHARED_ROWS + column]! += weights[k]! * luminance(...key);
+      power[row * 2 * SHARED_ROWS + column]! += weights[k]! * dimmed * strength * facts.fill;
     });
     const sum = (of: Float32Array): number => of.reduce((total, value) => total + value, 0);
     const [was, is] = [sum(foundPower), sum(power)];
@@ -254,15 +239,14 @@ export class KeyLight {
     return Math.max(0, 1 - apart);
   }
 
-  private meanOnSkin(values: Float32Array, channels: number): Float32Array {
-    const sums = new Float64Array(channels);
-    let total = 0;
+  private meanOnSkin(values: Float32Array): number {
+    let [sum, total] = [0, 0];
     this.person.bare.forEach((share, i) => {
       if (!(share > 0)) return;
       total++;
-      for (let k = 0; k < channels; k++) sums[k]! += values[channels * i + k]!;
+      sum += values[i]!;
     });
-    return Float32Array.from(sums, (sum) => sum / total);
+    return sum / total;
   }
 
   private meanOfCells(values: Float32Array, channels: number): number[] {
@@ -285,4 +269,5 @@ export class KeyLight {
   }
 }
 
-const triple = (values: ArrayLike<number>): [number, number, number] => [values[0]!, values[1]!, values[2]!];
+const luminances = (values: Float32Array): Float32Array =>
+  new Float32Array(values.length / 3).map((_, i) => luminance(values[3 * i]!, values[3 * i + 1]!, values[3 * i + 2]!));

@@ -12,6 +12,8 @@ export interface Facts {
   crop: [left: number, top: number, width: number, height: number];
   /** Azimuth and elevation in degrees, 0 at the camera and positive to the viewer's right. */
   keys: Record<string, [azimuth: number, elevation: number]>;
+  /** How many times as bright as the fill each of them usually is. */
+  strengths: Record<string, number>;
   usual: { size_deg: number; strength: number };
   colour: Rgb;
   fill: number;
@@ -22,6 +24,12 @@ export interface Facts {
   base: number;
   shine: number;
   most: [brighter: number, darker: number];
+  /** The logarithm that is 0 of the marks' second number. */
+  darkest: number;
+  veil: number;
+  least_room: number;
+  shoulder: number;
+  edge_of_white: number;
   tinted: number;
   unseen: number;
   doubted: number;
@@ -30,25 +38,26 @@ export interface Facts {
   edit: Edit;
 }
 
-/** The points of a person's surface (m of them) with all light but the key's; row by row. */
+/** The points of a person's surface (m of them) in the light found and in the fill; row by row. */
 export interface Person {
   facts: Facts;
   picture: { width: number; height: number; codes: Uint8Array };
-  unseen: Uint8Array;
+  /** Three a pixel: what is not seen of the old light, the picture's base, and how much is skin. */
+  marks: Uint8Array;
   places: Int32Array;
   normals: Float32Array;
   views: Float32Array;
   visible: Uint8Array;
   shading: Float32Array;
   glossy: Float32Array;
-  restShading: Float32Array;
-  restGlossy: Float32Array;
+  /** By the fill, over how bright it makes the ball; one number a point. */
+  occlusion: Float32Array;
+  fillGloss: Float32Array;
   unseenTint: Float32Array;
   skinTint: Float32Array;
   bare: Float32Array;
   known: Float32Array;
   foundPower: Float32Array;
-  restPower: Float32Array;
   foundMap: { width: number; height: number; data: Float32Array };
 }
 
@@ -61,21 +70,20 @@ export function readPerson(file: ArrayBuffer): Person {
   return {
     facts: JSON.parse(tensors.text("facts")) as Facts,
     picture: { ...sized("picture"), codes: tensors.bytes("picture") },
-    unseen: tensors.bytes("unseen"),
+    marks: tensors.bytes("marks"),
     places: tensors.integers("places"),
     normals: tensors.floats("normals"),
     views: tensors.floats("views"),
     visible: tensors.bytes("visible"),
     shading: tensors.floats("shading"),
     glossy: tensors.floats("glossy"),
-    restShading: tensors.floats("rest_shading"),
-    restGlossy: tensors.floats("rest_glossy"),
+    occlusion: tensors.floats("occlusion"),
+    fillGloss: tensors.floats("fill_gloss"),
     unseenTint: tensors.floats("unseen_tint"),
     skinTint: tensors.floats("skin_tint"),
     bare: tensors.floats("bare"),
     known: tensors.floats("known"),
     foundPower: tensors.floats("found_power"),
-    restPower: tensors.floats("rest_power"),
     foundMap: { ...sized("found_map"), data: tensors.floats("found_map") },
   };
 }

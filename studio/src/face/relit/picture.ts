@@ -10,11 +10,12 @@ void main() {
 // The formulas of skylight.portrait._relit, and of app.portrait.relit's shown()
 const PIXEL = `#version 300 es
 precision highp float;
-uniform highp sampler2D photo, unseen, gain;
+uniform highp sampler2D photo, marks, gain;
 uniform vec2 size, from, extent; // of the picture; and where the person's grid is in it
 uniform vec2 drawn; // pixels of the canvas
 uniform vec2 most;
 uniform float typical, doubted, other, range, knee;
+uniform float darkest, veil, leastRoom, shoulder, edgeOfWhite; // of skylight.portrait._room
 uniform float before; // the share of the width, from the left, that is as it was photographed
 out vec4 color;
 
@@ -35,11 +36,17 @@ void main() {
   if (at.x >= before * size.x && seen.a > 0.0) {
     vec3 scene = unedited(p);
     vec4 change = texture(gain, (at - from) / extent); // of colour, and of level
-    float hidden = range * (2.0 * texture(unseen, at / size).r - 1.0);
+    vec3 mark = texture(marks, at / size).rgb;
+    float hidden = range * (2.0 * mark.r - 1.0);
+    float base = darkest * (1.0 - mark.g);
     float more = change.a + other * hidden - typical;
-    float limit = more > 0.0 ? most.x : most.y;
+    if (more < 0.0) more *= mix(clamp((1.0 - exp(base)) / edgeOfWhite, 0.0, 1.0), 1.0, mark.b);
+    float limit = more > 0.0 ? clamp(-base - typical, leastRoom, most.x - min(typical, 0.0)) : most.y;
     float level = typical + doubted * limit * tanh_(vec3(more / limit)).x;
-    vec3 person = scene * exp(seen.a * (change.rgb + level));
+    float usual = max(typical, 0.0);
+    if (level > usual) level = usual + log(1.0 + (exp(level - usual) - 1.0) * (1.0 - (1.0 - mark.b) * min(veil * exp(-base), 1.0)));
+    vec3 tint = change.rgb * clamp((1.0 - exp(base)) / shoulder, 0.0, 1.0);
+    vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a);
     light = max(edited(person) + p - edited(scene), 0.0);
     vec3 k = clamp(p, knee, 1.0 - 1e-6);
     if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
@@ -70,7 +77,7 @@ export class RelitPicture {
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
-    { picture, unseen, facts }: Person,
+    { picture, marks, facts }: Person,
     private readonly light: KeyLight,
   ) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true });
@@ -89,7 +96,7 @@ export class RelitPicture {
       else gl.uniform2f(place, values[0]!, values[1]!);
     };
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    ["photo", "unseen", "gain"].forEach((name, unit) => {
+    ["photo", "marks", "gain"].forEach((name, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
@@ -100,7 +107,7 @@ export class RelitPicture {
     gl.activeTexture(gl.TEXTURE0);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.SRGB8_ALPHA8, picture.width, picture.height, 0, gl.RGBA, gl.UNSIGNED_BYTE, picture.codes);
     gl.activeTexture(gl.TEXTURE1);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, picture.width, picture.height, 0, gl.RED, gl.UNSIGNED_BYTE, unseen);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, picture.width, picture.height, 0, gl.RGB, gl.UNSIGNED_BYTE, marks);
     const across = picture.width / facts.size[0];
     const down = picture.height / facts.size[1];
     number("size", picture.width, picture.height);
@@ -167,6 +174,11 @@ export class RelitPicture {
     number("most", ...facts.most);
     number("doubted", facts.doubted);
     number("range", facts.unseen);
+    number("darkest", facts.darkest);
+    number("veil", facts.veil);
+    number("leastRoom", facts.least_room);
+    number("shoulder", facts.shoulder);
+    number("edgeOfWhite", facts.edge_of_white);
     number("knee", facts.knee);
     const { saturation, contrast, pivot } = facts.edit;
     this.gl.uniform3f(this.uniform("edit"), saturation, contrast, pivot);

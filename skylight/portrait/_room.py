@@ -1,0 +1,112 @@
+"""What room a photograph has for a new light: below white, above its veil, within the person.
+
+A camera's codes end at white, where colour is lost first; its blacks are the lens's stray light and
+no dark thing's; and a pixel on a person's border is in part what lies behind. A gain that knows of
+none of these makes white cloth flat, dark hair grey, and a glow about the head. All is judged by
+the :func:`base_of` the picture, its edges without its texture (Durand and Dorsey 2002), so that
+texture keeps its contrast.
+"""
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+
+from skylight.imaging._colour import srgb_to_linear
+from skylight.imaging._photo import Photo
+from skylight.portrait._gain import BRIGHTER, DARKEST, EDGE, PORES, blurred, float32
+from skylight.sphere._envmap import LUMINANCE
+
+_LUMINANCE = np.array(LUMINANCE, np.float32)
+VEILING = 0.02  # stray light over the picture's mean: glare of usual lenses is 1 to 3 % (ISO 9358)
+LEAST_ROOM = 0.05  # logarithm: what white may still become brighter by, and is rolled off
+SHOULDER, EDGE_OF_WHITE = 0.3, 0.08  # of white, below it: where codes lose colour, and brightness
+_MIDDLE = 20, 230  # codes that are neither dark nor clipped
+_ROUNDED = 0.05  # what codes and gammas may differ by
+WITHIN, WHOLLY = (
+    0.03,
+    0.95,
+)  # of a face's height, how far a person's colour is looked for; its matte
+
+
+def white_of(photo: Photo) -> float:
+    """The linear value that ``photo.encoded`` shows as white, by its middle codes."""
+    middle = ((photo.encoded > _MIDDLE[0]) & (photo.encoded < _MIDDLE[1])).all(2)
+    if not middle.any():
+        return 1.0
+    codes = torch.from_numpy(photo.encoded[middle]).float() / 255
+    ratio = float(photo.pixels[torch.from_numpy(middle)].sum() / srgb_to_linear(codes).sum())
+    return 1.0 if abs(ratio - 1) < _ROUNDED else ratio
+
+
+def base_of(
+    picture: Float[ndarray, "h w 3"], white: float, face_px: float
+) -> Float[ndarray, "h w"]:
+    """``ln(max(r, g, b) / white + DARKEST)`` of a linear picture, at most 0, by a guided filter."""
+    seen = float32(np.log(np.maximum(picture.max(2) / white, 0) + DARKEST))
+    radius = max(2, round(EDGE * face_px))
+    return np.minimum(cv2.ximgproc.guidedFilter(seen, seen, radius, PORES**2), 0)
+
+
+def veil_of(picture: Float[ndarray, "h w 3"], white: float) -> float:
+    """Stray light over white, :data:`VEILING` of the picture's mean."""
+    return VEILING * float((np.clip(picture / white, 0, 1) @ _LUMINANCE).mean())
+
+
+def headroom(base: Float[ndarray, "h w"], typical: float) -> Float[ndarray, "h w"]:
+    """How much brighter than with a ``typical`` gain a place may become, a logarithm: to white, and
+    by :data:`~skylight.portrait._gain.BRIGHTER` in all.
+    """
+    most = BRIGHTER - min(typical, 0.0)
+    return np.clip(-base - np.float32(typical), LEAST_ROOM, most)
+
+
+def below_white(
+    gain: Float[ndarray, "h w"], base: Float[ndarray, "h w"], skin: Float[ndarray, "h w"]
+) -> Float[ndarray, "h w"]:
+    """A gain that makes nothing darker that was white: how bright it was is lost, and a darker
+    white is a grey patch. ``skin``, whose shape is known, is made darker all the same.
+    """
+    known = np.clip((1 - np.exp(base)) / EDGE_OF_WHITE, 0, 1)
+    return np.maximum(gain, 0) + (known + (1 - known) * skin) * np.minimum(gain, 0)
+
+
+def above_veil(
+    gain: Float[ndarray, "h w"],
+    base: Float[ndarray, "h w"],
+    skin: Float[ndarray, "h w"],
+    veil: float,
+    typical: float,
+) -> Float[ndarray, "h w"]:
+    """A logarithmic gain of which only what is brighter than the veil becomes brighter.
+
+    ``ln(t + (e^G - t) (1 - veil / b))`` where G is above ``ln t``, t being ``e^typical`` and 1 at
+    least: black hair stays as black as skin in the mean lets it. Black ``skin`` is in shadow, out
+    of which it comes.
+    """
+    usual = max(typical, 0.0)
+    lit = 1 - (1 - skin) * np.minimum(np.float32(veil) * np.exp(-base), 1)
+    rise = np.log1p(np.expm1(np.maximum(gain - usual, 0)) * lit)
+    return np.minimum(gain, usual) + rise
+
+
+def coloured(base: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
+    """How much of a change of colour a place takes: none at white, whose own colour is lost."""
+    return np.clip((1 - np.exp(base)) / SHOULDER, 0, 1)
+
+
+def light_share(
+    picture: Float[ndarray, "h w 3"], matte: Float[ndarray, "h w"], face_px: float
+) -> Float[ndarray, "h w"]:
+    """How much of a pixel's light is the person's, of how much of its area is: ``a min(1, F / x)``.
+
+    F is the person's luminance a little further in: of a dark strand before a bright sky almost
+    all light is the sky's, and stays.
+    """
+    inside = float32(matte > WHOLLY)
+    shown = (picture @ _LUMINANCE)[..., None]
+    own = blurred(shown, inside, WITHIN * face_px)
+    dim = np.minimum(1, own / np.maximum(shown, 1e-6))[..., 0]
+    sure = np.clip((matte - WHOLLY) / (1 - WHOLLY), 0, 1)
+    return matte * (sure + (1 - sure) * dim)

@@ -1,0 +1,111 @@
+"""White, black and borders of a photograph in a new light."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from skylight.portrait._gain import BRIGHTER, DARKEST, bounded
+from skylight.portrait._room import (
+    LEAST_ROOM,
+    VEILING,
+    above_veil,
+    base_of,
+    below_white,
+    coloured,
+    headroom,
+    light_share,
+    veil_of,
+)
+
+GAINS = st.floats(-4, 4)
+BRIGHTNESS = st.floats(0.005, 1.0)
+
+
+def one(value: float) -> np.ndarray:
+    return np.full((1, 1), value, np.float32)
+
+
+@given(brightness=BRIGHTNESS, gain=GAINS, typical=GAINS)
+def test_a_key_light_drives_nothing_above_white(
+    brightness: float, gain: float, typical: float
+) -> None:
+    base = np.log(one(brightness))
+    level = typical + float(bounded(one(gain), headroom(base, typical))[0, 0])
+    least = max(0.0, np.log(brightness) + typical)  # what the mean change itself does
+    assert np.log(brightness) + level <= least + LEAST_ROOM + 1e-5
+    assert level <= BRIGHTER + max(typical, 0.0) + LEAST_ROOM + 1e-5
+
+
+@given(brightness=BRIGHTNESS, gain=GAINS, typical=st.floats(-1, 1))
+def test_black_stays_black_and_no_gain_is_turned_round(
+    brightness: float, gain: float, typical: float
+) -> None:
+    base, veil = np.log(one(brightness)), 0.01
+    level = float(above_veil(one(gain), base, one(0), veil, typical)[0, 0])
+    assert above_veil(one(gain), base, one(1), veil, typical)[0, 0] == pytest.approx(gain, abs=1e-5)
+    usual = max(typical, 0.0)
+    if gain <= usual:
+        assert level == pytest.approx(gain, abs=1e-6)
+        return
+    assert usual - 1e-5 <= level <= gain + 1e-5
+    # the light of the thing itself, and the veil beside it, which no lamp makes brighter
+    own = max(brightness - veil, 0) * np.exp(gain) + min(veil, brightness) * np.exp(usual)
+    assert brightness * np.exp(level) == pytest.approx(own, rel=1e-4)
+
+
+def test_the_veil_is_a_part_of_the_mean_light() -> None:
+    picture = np.zeros((8, 8, 3), np.float32)
+    picture[:4] = 0.5
+    assert veil_of(picture, 1.0) == pytest.approx(0.25 * VEILING)
+    assert veil_of(10 * picture, 10.0) == pytest.approx(0.25 * VEILING)
+    assert veil_of(100 * picture, 1.0) == pytest.approx(0.5 * VEILING)  # the sun is cut off
+
+
+def test_white_stays_white_and_takes_no_colour() -> None:
+    base, gain = (
+        np.log(np.array([[1.0, 0.95, 0.9, 0.5]], np.float32)),
+        np.full((1, 4), -1, np.float32),
+    )
+    none, all_ = np.zeros_like(gain), np.ones_like(gain)
+    darker = below_white(gain, base, none)[0]
+    assert darker[0] == 0
+    assert -1 < darker[1] < 0
+    np.testing.assert_allclose(darker[2:], -1)
+    np.testing.assert_array_equal(below_white(-gain, base, none), -gain)
+    np.testing.assert_array_equal(below_white(gain, base, all_), gain)
+    np.testing.assert_allclose(coloured(base)[0], [0, 1 / 6, 1 / 3, 1], rtol=1e-5)
+
+
+def test_the_base_has_edges_and_no_texture() -> None:
+    rng = np.random.default_rng(0)
+    picture = np.where(np.arange(128)[:, None] < 64, 0.1, 0.8)[..., None] * np.ones((1, 128, 3))
+    noisy = (picture * rng.uniform(0.95, 1.05, (128, 128, 1))).astype(np.float32)
+    base = base_of(2 * noisy, 2.0, 200.0)
+    want = np.log(picture[..., 0] + DARKEST)
+    away = np.abs(np.arange(128) - 63.5) > 6
+    assert np.abs(base - want)[away].max() < 0.03
+    assert np.abs(base - want).max() < 0.15  # at the edge, which is a logarithm of 2 high
+    assert base_of(np.full((16, 16, 3), 3.0, np.float32), 1.0, 50.0).max() == 0
+
+
+@pytest.mark.parametrize(("person", "behind"), [(0.03, 0.9), (0.2, 0.5), (0.5, 0.1)])
+def test_nothing_glows_behind_a_border(person: float, behind: float) -> None:
+    """Against the person's light relit and the other's left, and against mixed logarithms.
+
+    Before what is darker the new light is less than it should be, and nowhere more.
+    """
+    rows, columns = np.indices((96, 96))
+    cut = (np.hypot(rows - 48, columns - 48) < 30).astype(np.float32)
+    area = cv2.GaussianBlur(cut, (0, 0), 3.0)
+    seen = area * person + (1 - area) * behind
+    share = light_share(np.repeat(seen[..., None], 3, 2), area, 150.0)
+    gain = 2.0
+    ours = seen * (1 + share * (gain - 1))
+    want = area * person * gain + (1 - area) * behind
+    assert (ours - want).max() < 0.02  # of the person's colour where the matte is .95 for 1
+    assert (want - ours).max() < 0.11
+    if person < behind:
+        mixed = seen * np.exp(area * np.log(gain))
+        assert (mixed - want).max() > 5 * (ours - want).max()
+        np.testing.assert_array_less(want - ours, 1e-3)
