@@ -356,7 +356,7 @@ TERMS = {
     "background": "what stands behind it",
     "light_prior": "such light",
     "ground_prior": "such ground",
-    "sun_prior": "a sun there, by clock and place",
+    "sun_prior": "the main light there, by clock and place or by simpler light",
     "albedo_prior": "skin of such colour",
     "gloss_prior": "skin as shiny",
     "pigment_prior": "skin as uneven",

@@ -267,7 +267,8 @@ class LampsProblem(LightProblem):
         Where the family has a guide, and no clock tells, that is searched first. Smooth light of
         many latents takes over a part of a lamp, which pulls that 5 to 30 degrees aside on real
         faces, at no higher residuals; even light cannot. What the guide tells counts as a clock
-        does, but not in the posterior, whose scan is of the same pixels.
+        does, but not in the posterior, whose scan is of the same pixels: a number of lamps with one
+        there gains up to 5 nats of the least gain, so one lamp that the guide has needs 3 more.
 
         What clock and place tell of the sun counts unless the faces contradict it, as of skies. One
         lamp is looked for where they say too, they choose between lights that explain the faces,
@@ -325,11 +326,11 @@ class LampsProblem(LightProblem):
         """Where the main lamp is in the light of the guide; None where that has no lamp."""
         scan = SunScan.of(every, candidates=self.options.scan_candidates)
         best = self._searched(guide, pursuit, scan, None)
+        if not best.count:
+            return None
         light = guide.light(best.count)
         free = best.point.free[best.point.scores.argmin()]
         found = light.lamps(light.from_free(free[: light.parameter_count].cpu()))
-        if not best.count:
-            return None
         return found_light(found.directions[int(found.energies.argmax())].double())
 
     def _searched(

@@ -28,7 +28,7 @@ from skylight.io._files import (
     write_light,
     write_png,
 )
-from skylight.maps._cube_files import read_faces, write_faces, written_faces
+from skylight.maps._cube_files import face_files, read_faces, write_faces, written_faces
 from skylight.sphere._cube_layouts import (
     cross_of_faces,
     faces_of_cross,
@@ -37,7 +37,7 @@ from skylight.sphere._cube_layouts import (
 )
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import convert_latlong, rotation_about
-from skylight.sphere._projections import from_latlong, to_latlong, turned
+from skylight.sphere._projections import from_latlong, to_latlong
 
 # rows of each picture over those of a lat-long map with as much detail at the horizon
 _ROWS: dict[Projection, float] = {
@@ -90,12 +90,12 @@ class Adjustment:
         """The map turned and scaled.
 
         About the vertical energy is exact, and so is a turn by whole columns; other turns
-        resample (:func:`skylight.sphere._projections.turned`). A sky that is pitched or rolled
-        gets a black lower half.
+        resample (:meth:`~skylight.sphere._envmap.EnvironmentMap.rotate`). A sky that is pitched or
+        rolled gets a black lower half.
         """
         if self.pitch_deg or self.roll_deg:
             whole = light.with_ground(torch.zeros(3)) if light.is_sky else light
-            light = turned(whole, self.rotation())
+            light = whole.rotate(self.rotation())
         elif self.rotate_deg:
             columns = self.rotate_deg * light.layout[1] / 360
             if columns == round(columns):
@@ -149,7 +149,7 @@ def convert_file(
         if preview_file.suffix.lower() != ".png":
             raise InputError(f"{preview_file}: choose a name that ends in .png")
         require_place(preview_file)
-    unit = white_luminance(source)
+    unit = white_luminance(face_files(source)[0] if source_projection == "cube-faces" else source)
     header: dict[str, object] = {} if unit is None else {"whiteLuminance": unit / adjustment.factor}
     light = adjustment(_read(source, source_projection, source_convention, reading))
     if projection == "latlong":

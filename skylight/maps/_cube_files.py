@@ -59,7 +59,7 @@ def read_faces(source: Path, reading: MapReading = PLAIN_READING) -> Float[Tenso
         Six files that are not there, more than one set of them, or faces that are not square and
         of one size.
     """
-    faces = [read_light(file, **vars(reading)) for file in _found(source)]
+    faces = [read_light(file, **vars(reading)) for file in face_files(source)]
     size = faces[0].shape[0]
     for face, name in zip(faces, FACES, strict=True):
         if face.shape[:2] != (size, size):
@@ -70,7 +70,8 @@ def read_faces(source: Path, reading: MapReading = PLAIN_READING) -> Float[Tenso
     return torch.stack(faces)
 
 
-def _found(source: Path) -> list[Path]:
+def face_files(source: Path) -> list[Path]:
+    """Those of a folder or pattern, px to nz; :class:`InputError` as :func:`read_faces`."""
     is_pattern = PLACE in source.name
     folder = source.parent if is_pattern else source
     if not folder.is_dir():

@@ -93,14 +93,22 @@ def export_light(
         )
     light, listed = read_light(probe, convention, reading)
     cut_off = False
+    if lamps is not None:
+        if listed:
+            raise InputError(
+                f"{probe}: the lamps of an estimate are those it lists: leave --lamps out"
+            )
+        if not 0 <= lamps <= MOST_LAMPS:
+            raise InputError(f"0 to {MOST_LAMPS} lamps are taken out of a map, not {lamps}")
+        if not set(targets) - WHOLE:
+            raise InputError(
+                f"{' and '.join(targets)} have all light in one: leave --lamps out, or name a "
+                "target that has lamps"
+            )
     if not set(targets) - WHOLE:
         separate, rest = (), light
     elif lamps is None:
         separate, rest = listed, without_lamps(light, listed)
-    elif listed:
-        raise InputError(f"{probe}: the lamps of an estimate are those it lists: leave --lamps out")
-    elif not 0 <= lamps <= MOST_LAMPS:
-        raise InputError(f"0 to {MOST_LAMPS} lamps are taken out of a map, not {lamps}")
     else:
         compact = compact_lights(light, lamps)
         separate, rest, cut_off = tuple(compact.lamps), compact.rest, compact.cut_off

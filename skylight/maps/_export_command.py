@@ -144,7 +144,7 @@ def export_blender(
             lamps=1 if lamps is None else lamps,
         )
         print(f"written into {out}: {', '.join(exported.files)}")
-        _tell_lamps(exported, of_map=True)
+        _tell_lamps(exported, of_map=lamps != 0)
         return
     if lamps is not None or from_convention != "skylight":
         raise InputError(
@@ -235,7 +235,7 @@ def export_light(
         reading=reading,
     )
     print(f"written into {out}: {', '.join(exported.files)}")
-    _tell_lamps(exported, of_map=lamps is not None)
+    _tell_lamps(exported, of_map=bool(lamps))
     if exported.cut > 0.001:
         print(
             f"skylight: take care: reflections of light.glb lack {100 * exported.cut:.1f} % of the "

@@ -24,10 +24,8 @@ LEAST_ROOM = 0.05  # logarithm: what white may still become brighter by, and is 
 SHOULDER, EDGE_OF_WHITE = 0.3, 0.08  # of white, below it: where codes lose colour, and brightness
 _MIDDLE = 20, 230  # codes that are neither dark nor clipped
 _ROUNDED = 0.05  # what codes and gammas may differ by
-WITHIN, WHOLLY = (
-    0.03,
-    0.95,
-)  # of a face's height, how far a person's colour is looked for; its matte
+# of a face's height, how far a person's colour is looked for; and its matte
+WITHIN, WHOLLY = 0.03, 0.95
 
 
 def white_of(photo: Photo) -> float:
@@ -56,7 +54,7 @@ def veil_of(picture: Float[ndarray, "h w 3"], white: float) -> float:
 
 def headroom(base: Float[ndarray, "h w"], typical: float) -> Float[ndarray, "h w"]:
     """How much brighter than with a ``typical`` gain a place may become, a logarithm: to white, and
-    by :data:`~skylight.portrait._gain.BRIGHTER` in all.
+    by :data:`~skylight.portrait._gain.BRIGHTER`, in all where the typical gain is below 0.
     """
     most = BRIGHTER - min(typical, 0.0)
     return np.clip(-base - np.float32(typical), LEAST_ROOM, most)

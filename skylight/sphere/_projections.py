@@ -203,24 +203,6 @@ def to_latlong(
     return EnvironmentMap(radiance=_averaged("latlong", size, per_pixel, value).to(picture))
 
 
-def turned(environment: EnvironmentMap, rotation: Float[Tensor, "3 3"]) -> EnvironmentMap:
-    """A full map turned about any axis: L'(w) = L(R^T w).
-
-    Every pixel is the mean of 16 look-ups by solid angle, with the energy of
-    :func:`from_latlong`; about the vertical :meth:`EnvironmentMap.rotate_azimuth` is exact.
-    """
-    if environment.is_sky:
-        raise InputError("a sky alone has no lower half: give a full lat-long map")
-    back = rotation.double()
-
-    def value(directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        places = pixel_from_direction(directions @ back, *environment.layout)  # (R^T w)^T = w^T R
-        return bilinear(environment.radiance, *places)
-
-    radiance = _averaged("latlong", environment.layout, 4, value)
-    return EnvironmentMap(radiance=radiance.to(environment.radiance))
-
-
 def _averaged(
     projection: Projection,
     size: tuple[int, int],

@@ -107,8 +107,8 @@ function numbers(result: EstimateResult, words: string, main: string): HTMLEleme
   return el("dl", { class: "numbers" }, ...lines.flatMap(([term, value]) => [el("dt", {}, term), el("dd", {}, value)]));
 }
 
-/** Where a lamp stands, what a surface that faces it receives, and its half width. */
+/** Where a lamp stands, what a surface that faces it receives, and its diameter: four spreads of a lobe. */
 function lampInWords({ azimuth_deg, zenith_deg, irradiance, spread_deg }: EstimateResult["lamps"][number]): string {
   const [red, green, blue] = irradiance.map((value) => value.toPrecision(2));
-  return `${whereFrom(azimuth_deg, zenith_deg)}; red, green, blue ${red}, ${green}, ${blue} (irradiance); ${Math.round(2 * spread_deg) || "under 1"}° wide`;
+  return `${whereFrom(azimuth_deg, zenith_deg)}; red, green, blue ${red}, ${green}, ${blue} (irradiance); ${Math.round(4 * spread_deg) || "under 1"}° wide`;
 }

@@ -191,22 +191,23 @@ export function workspace(photo: Photo, another: HTMLElement, closed: () => void
 
   /** What was found before the page was loaded again. */
   const restore = async ({ lights: before, running, shown: title, tab }: typeof kept): Promise<void> => {
+    start.disabled = true;
     for (const one of before) {
       const done = await getJson<Job<EstimateResult>>(`/api/jobs/${one.job}`).catch((error: unknown) => {
         if (!(error instanceof ApiError && error.status === 404)) throw error;
         alert.show(`the studio has forgotten the light “${one.title}” meanwhile: find it again`);
       });
       if (!done) continue;
-      note(one);
+      found.push(one);
       await add(one, done);
     }
+    updateSession({ lights: [...found] });
     if (title && results.some((one) => one.title === title)) {
       lights.select.value = title;
       show();
     }
     if (results.length) all.choose(tab ?? "objects");
     if (!running) return;
-    start.disabled = true;
     updateSession({ running });
     await finish(running, await job.resume<EstimateResult>(running.job));
   };

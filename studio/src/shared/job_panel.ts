@@ -26,11 +26,13 @@ export function jobPanel(): JobPanel {
   const alert = alertBox();
   working.hidden = true;
   let stop: AbortController | null = null;
-  let since = 0; // when the studio began with it
+  let since: number | null = null; // when the studio began with it; null where the time left is not known
 
   const show = (job: Job): void => {
-    if (job.state === "waiting") since = performance.now();
-    left.textContent = leftInWords(secondsLeft(job.stage, job.share, (performance.now() - since) / 1000));
+    if (since !== null) {
+      if (job.state === "waiting") since = performance.now();
+      left.textContent = leftInWords(secondsLeft(job.stage, job.share, (performance.now() - since) / 1000));
+    }
     const jobs = job.before === 1 ? "job" : "jobs";
     const words = job.before ? `${job.before} ${jobs} before yours` : job.stage || "Starting";
     const line = `${words.charAt(0).toUpperCase()}${words.slice(1)} …`;
@@ -46,15 +48,15 @@ export function jobPanel(): JobPanel {
     element: el("div", { class: "stack tight" }, working, alert.element),
     cancel,
     run: (request, begun) =>
-      follow(async () => {
+      follow(request.kind === "estimate" ? performance.now() : null, async () => {
         const job = await startJob(request);
         begun?.(job);
         return job;
       }),
-    resume: (job) => follow(() => Promise.resolve(job)),
+    resume: (job) => follow(null, () => Promise.resolve(job)),
   };
 
-  async function follow<Result>(start: () => Promise<string>): Promise<Job<Result> | null> {
+  async function follow<Result>(begins: number | null, start: () => Promise<string>): Promise<Job<Result> | null> {
     cancel();
     alert.clear();
     const mine = new AbortController();
@@ -63,7 +65,7 @@ export function jobPanel(): JobPanel {
     left.textContent = "";
     bar.removeAttribute("value");
     working.hidden = false;
-    since = performance.now();
+    since = begins;
     let job = "";
     try {
       job = await start();
