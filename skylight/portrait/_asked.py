@@ -12,7 +12,7 @@ from skylight.estimation._kept import FoundLight, KeptFace
 from skylight.estimation._manifest import file_hash
 from skylight.estimation._summary import PhotoEstimate
 from skylight.portrait._files import RelitPortrait, relit_portrait, taken_apart, write_relit
-from skylight.portrait._keys import KEYS, USUAL_DEG, check_key, key_light, usual_strength
+from skylight.portrait._keys import KEY_OVER_FILL, KEYS, USUAL_DEG, check_key, key_light
 from skylight.portrait._lights import NewLight, light_of_map, light_with_sun_at, rotated_light
 from skylight.portrait._relit import Keep
 from skylight.work._progress import Progress
@@ -53,20 +53,19 @@ def asked_keys(
 ) -> list[AskedLight]:
     """Key lights, each once; None is what is usual."""
     size_deg = USUAL_DEG if size_deg is None else size_deg
-    named = {key: (KEYS[key], usual_strength(key)) for key in keys}
-    named |= {f"{place[0]:g}_{place[1]:g}": (place, usual_strength(place)) for place in angles}
-    lights: list[AskedLight] = []
-    for name, (place, usual) in named.items():
-        given = usual if strength is None else strength
-        check_key(*place, size_deg, given)
-        lights.append(
-            AskedLight(
-                name=name,
-                make=partial(key_light, key=place, size_deg=size_deg, strength=given),
-                facts={"key": place, "size_deg": size_deg, "strength": given},
-            )
+    strength = KEY_OVER_FILL if strength is None else strength
+    named = {key: KEYS[key] for key in keys}
+    named |= {f"{azimuth:g}_{elevation:g}": (azimuth, elevation) for azimuth, elevation in angles}
+    for place in named.values():
+        check_key(*place, size_deg, strength)
+    return [
+        AskedLight(
+            name=name,
+            make=partial(key_light, key=place, size_deg=size_deg, strength=strength),
+            facts={"key": place, "size_deg": size_deg, "strength": strength},
         )
-    return lights
+        for name, place in named.items()
+    ]
 
 
 def asked_turn(turn_deg: float) -> AskedLight:

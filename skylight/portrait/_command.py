@@ -87,7 +87,7 @@ def relight_portrait(
         hard: A narrow one, 5 degrees across, as a bare bulb.
         size: Its width in degrees.
         strength: Of the key light: how many times as bright as the fill it makes what faces it; 4
-            by default, and 16 of the rim. 0 leaves the fill.
+            by default. 0 leaves the fill.
         under: Lat-long map of the new light (.exr, .hdr), whose centre is where the camera looks.
             Its units do not matter: the face stays as bright as it was.
         turn: Turn the light that was found about the vertical by so many degrees; positive ones

@@ -10,7 +10,7 @@ g is a lobe of irradiance 1 on what faces it, c a colour of luminance 1, R the m
 found, and s how many times as bright as the fill the key makes what faces it. B is the mean
 irradiance of what the camera sees of a ball in the sitter's place (:func:`ball_weights`). f leaves
 that ball as bright as the light found has it, as an exposure meter would: a key behind the sitter
-is a bright rim, and the face is darker by what that takes: 0.8 stops of the usual one.
+is a bright rim, not a dark face.
 """
 
 import math
@@ -37,7 +37,7 @@ KEYS = MappingProxyType[KeyName, tuple[float, float]](
         "left": (-50.0, 30.0),
         "right": (50.0, 30.0),
         "top": (0.0, 50.0),
-        "rim": (130.0, 15.0),
+        "rim": (140.0, 35.0),
         "front": (0.0, 15.0),
     }
 )
@@ -45,7 +45,6 @@ KEYS = MappingProxyType[KeyName, tuple[float, float]](
 SOFT_DEG, USUAL_DEG, HARD_DEG = 40.0, 15.0, 5.0
 NARROWEST_DEG, WIDEST_DEG = 2.0, 120.0  # a lobe narrower than a map's pixels is none; a wall
 KEY_OVER_FILL = 4.0  # s: two stops, as for a portrait with clear light and shade
-RIM_OVER_FILL = 16.0  # and four: a bright edge, and a face that is 0.8 stops darker
 
 
 def ball_weights(directions: Float[Tensor, "*n 3"]) -> Float[Tensor, " *n"]:
@@ -84,7 +83,7 @@ def key_light(
     key: KeyName | tuple[float, float],
     *,
     size_deg: float = USUAL_DEG,
-    strength: float | None = None,
+    strength: float = KEY_OVER_FILL,
 ) -> NewLight:
     """A key light over a dim, even fill: the module's text.
 
@@ -96,8 +95,7 @@ def key_light(
     size_deg
         Angular diameter: :data:`SOFT_DEG`, :data:`HARD_DEG`, or between.
     strength
-        How many times as bright as the fill it makes what faces it; of None
-        :func:`usual_strength`.
+        How many times as bright as the fill it makes what faces it.
 
     Raises
     ------
@@ -105,7 +103,6 @@ def key_light(
         A place, a size or a strength that cannot be.
     """
     azimuth_deg, elevation_deg = KEYS[key] if isinstance(key, str) else key
-    strength = usual_strength(key) if strength is None else strength
     check_key(azimuth_deg, elevation_deg, size_deg, strength)
     whole = light_in_photo(found)
     fill = fill_of(whole)
@@ -122,11 +119,6 @@ def key_light(
     return NewLight(
         environment=EnvironmentMap(radiance=dimmed * fill.radiance + lobe.to(fill.radiance))
     )
-
-
-def usual_strength(key: KeyName | tuple[float, float]) -> float:
-    """:data:`RIM_OVER_FILL` of the rim, :data:`KEY_OVER_FILL` of all other keys."""
-    return RIM_OVER_FILL if key == "rim" else KEY_OVER_FILL
 
 
 def check_key(azimuth_deg: float, elevation_deg: float, size_deg: float, strength: float) -> None:

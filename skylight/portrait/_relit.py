@@ -141,9 +141,11 @@ class Portrait:
         """From a linear photograph, ``edit`` done to it, and the light ``found`` in its units.
 
         ``specular_scale`` is the strength of the skin's specular lobe; ``hair``
-        is how likely a pixel of ``person`` shows hair.
+        is how likely a pixel of ``person`` shows hair; ``white`` what the photograph's codes end
+        at.
         """
         picture = float32(edit.undo(photo).numpy())
+        white = float(edit.undo(torch.full((3,), white))[0])
         shading, specular = _images(person, found, specular_scale, grey=grey)
         small = cv2.resize(picture, shading.shape[1::-1], interpolation=cv2.INTER_AREA)
         regions = person.region_image()

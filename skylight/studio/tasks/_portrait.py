@@ -55,7 +55,6 @@ from skylight.portrait._keys import (
     USUAL_DEG,
     brightness_of_ball,
     fill_of,
-    usual_strength,
 )
 from skylight.portrait._relit import (
     Portrait,
@@ -190,7 +189,6 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "size": portrait.on.covered.shape[::-1],
         "crop": [left, top, width, height],
         "keys": dict(KEYS),
-        "strengths": {key: usual_strength(key) for key in KEYS},
         "usual": {"size_deg": USUAL_DEG, "strength": KEY_OVER_FILL},
         "colour": colour.tolist(),
         "fill": level,

@@ -25,7 +25,6 @@ from skylight.portrait._keys import (
     SOFT_DEG,
     USUAL_DEG,
     key_light,
-    usual_strength,
 )
 from tests.studio.browser.pictures import pixels
 from tests.studio.browser.test_browser import LINE, picture
@@ -139,8 +138,7 @@ def test_the_key_is_dragged_and_the_person_follows_as_the_command_has_it(
     for name, (to_right, elevation) in KEYS.items():
         page.get_by_role("button", name=name.capitalize(), exact=True).click()
         turned = (180.0 - to_right + 180.0) % 360.0 - 180.0
-        told = [turned, 90.0 - elevation, usual_strength(name), usual[1]]
-        page.wait_for_function(_SHOWS, arg=told)
+        page.wait_for_function(_SHOWS, arg=[turned, 90.0 - elevation, *usual])
     page.get_by_label("Softness").fill(str(SOFT_DEG))
     page.wait_for_function(_SHOWS, arg=[turned, 90.0 - elevation, KEY_OVER_FILL, SOFT_DEG])
     page.get_by_label("Strength").fill("0")

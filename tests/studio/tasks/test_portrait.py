@@ -175,7 +175,6 @@ def test_the_page_gets_what_room_the_picture_has(taken_apart: TakenApart) -> Non
     base = facts["darkest"] * (1 - tensors["marks"][..., 1].numpy() / 255)
     np.testing.assert_allclose(base, portrait.base, atol=-facts["darkest"] / 510 * 1.01)
     assert facts["veil"] == portrait.veil > 0
-    assert facts["strengths"]["rim"] > facts["strengths"]["left"] == facts["usual"]["strength"]
 
 
 def test_the_fill_is_one_number_times_its_occlusion(taken_apart: TakenApart) -> None:

@@ -125,8 +125,6 @@ function relitView(person: Person, title: string): RelitView {
   const handles = lampHandles(map.element, [key], changed, say, () => ["Key light", "☀"]);
   const put = (name: string): void => {
     Object.assign(key, inMap(facts.keys[name]!));
-    strength = facts.strengths[name]!;
-    strengths.set(strength);
     handles.place();
     changed();
   };

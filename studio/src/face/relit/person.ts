@@ -12,8 +12,6 @@ export interface Facts {
   crop: [left: number, top: number, width: number, height: number];
   /** Azimuth and elevation in degrees, 0 at the camera and positive to the viewer's right. */
   keys: Record<string, [azimuth: number, elevation: number]>;
-  /** How many times as bright as the fill each of them usually is. */
-  strengths: Record<string, number>;
   usual: { size_deg: number; strength: number };
   colour: Rgb;
   fill: number;
