@@ -356,7 +356,7 @@ TERMS = {
     "background": "what stands behind it",
     "light_prior": "such light",
     "ground_prior": "such ground",
-    "sun_prior": "the main light there, by clock and place or by simpler light",
+    "sun_prior": "a main light there",
     "albedo_prior": "skin of such colour",
     "gloss_prior": "skin as shiny",
     "pigment_prior": "skin as uneven",
@@ -372,7 +372,7 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
     rows = [
         (main_light(estimate), ""),
         (f"   {place(estimate.sun_direction)}", ""),
-        ("   right of where the camera looks", f"{azimuth_deg:+.0f}°"),
+        ("   right of the camera's view", f"{azimuth_deg:+.0f}°"),
         ("   above the horizon", f"{90 - zenith_deg:+.0f}°"),
     ]
     ground = (

@@ -109,7 +109,7 @@ def test_the_numbers_are_the_estimates(figure: Figure, result: PhotoEstimate) ->
     told = [text.get_text() for text in panel(figure, "In numbers").texts]
     numbers = dict(zip(told[::2], told[1::2], strict=True))
     azimuth, zenith = ((COLUMN + 0.5) / 128 - 0.5) * 360, (ROW + 0.5) / 64 * 180
-    assert numbers["   right of where the camera looks"] == f"{azimuth:+.0f}°"
+    assert numbers["   right of the camera's view"] == f"{azimuth:+.0f}°"
     assert numbers["   above the horizon"] == f"{90 - zenith:+.0f}°"
     assert numbers["main light"] == ""
     assert "   from the right" in numbers
