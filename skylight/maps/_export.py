@@ -92,7 +92,7 @@ def export_light(
             f"wide, not {face}"
         )
     light, listed = read_light(probe, convention, reading)
-    cut_off = False
+    cut_off, has_lights = False, bool(set(targets) - WHOLE)
     if lamps is not None:
         if listed:
             raise InputError(
@@ -100,12 +100,12 @@ def export_light(
             )
         if not 0 <= lamps <= MOST_LAMPS:
             raise InputError(f"0 to {MOST_LAMPS} lamps are taken out of a map, not {lamps}")
-        if not set(targets) - WHOLE:
+        if not has_lights:
             raise InputError(
                 f"{' and '.join(targets)} have all light in one: leave --lamps out, or name a "
                 "target that has lamps"
             )
-    if not set(targets) - WHOLE:
+    if not has_lights:
         separate, rest = (), light
     elif lamps is None:
         separate, rest = listed, without_lamps(light, listed)

@@ -36,7 +36,7 @@ PORES = 0.15  # what the guided filter takes for texture
 BASE = 0.04  # of the mean shading, in addition: light that bounces between the parts of a face
 SHINE = 0.7  # of the specular reflection, which no estimate knows well
 DARKEST = 0.004  # of white, before logarithms: noise of the darkest pixels
-_LUMINANCE = np.array(LUMINANCE, np.float32)
+LUMINANCE_WEIGHTS = np.array(LUMINANCE, np.float32)
 
 
 def blurred(
@@ -119,13 +119,13 @@ class Level:
         sharp: float = SHARP,
     ) -> "Level":
         """``ln(E[S + SHINE g] + BASE mean(S))``; ``specular`` is over the albedo."""
-        whole = ((shading + SHINE * specular) @ _LUMINANCE)[..., None]
+        whole = ((shading + SHINE * specular) @ LUMINANCE_WEIGHTS)[..., None]
         near, far = (blurred(whole, on.covered, x * on.face_px) for x in (sharp, SOFT))
         skin = blurred(on.bare[..., None], on.covered, SHARP * on.face_px)
-        base = BASE * float(on.mean(shading) @ _LUMINANCE)
+        base = BASE * float(on.mean(shading) @ LUMINANCE_WEIGHTS)
         level = np.log(np.maximum(skin * near + (1 - skin) * far + base, 1e-9))[..., 0]
         wide = blurred(shading, on.covered, TINT * on.face_px)
-        colour = wide / np.maximum(wide @ _LUMINANCE, 1e-9)[..., None]
+        colour = wide / np.maximum(wide @ LUMINANCE_WEIGHTS, 1e-9)[..., None]
         return Level(level=level, colour=np.log(np.maximum(colour, 1e-3)))
 
 
@@ -188,7 +188,7 @@ def unseen(
     0..1 too, places its edges.
     """
     size, small_size = picture.shape[:2], before.level.shape
-    seen = np.log(np.maximum(picture @ _LUMINANCE, 0) + DARKEST)
+    seen = np.log(np.maximum(picture @ LUMINANCE_WEIGHTS, 0) + DARKEST)
     small = cv2.resize(seen, small_size[::-1], interpolation=cv2.INTER_AREA)
     skin = plain > 0
 
@@ -229,19 +229,21 @@ def _unseen_colour(
     small = cv2.resize(picture, plain.shape[::-1], interpolation=cv2.INTER_AREA)
     small = np.maximum(small, 0) + np.float32(1e-4)
     shown = blurred(small, plain, TINT * on.face_px) + np.float32(1e-9)
-    shown = np.log(shown / (shown @ _LUMINANCE)[..., None])
+    shown = np.log(shown / (shown @ LUMINANCE_WEIGHTS)[..., None])
     skin = plain > 0
     slopes = np.array([_slope(colour[skin][:, k], shown[skin][:, k]) for k in range(3)], np.float32)
     # where no skin shows the colour of light, as on cloth of any colour, nothing tells that it was
     # there: taken away, it would turn white cream
     bare = blurred(on.bare[..., None], on.covered, SHARP * on.face_px)
     hidden = (1 - slopes * bare) * (colour - colour[skin].mean(0))
-    mean = np.log(small[skin].mean(0) / (small[skin].mean(0) @ _LUMINANCE))
+    mean = np.log(small[skin].mean(0) / (small[skin].mean(0) @ LUMINANCE_WEIGHTS))
     near = blurred(small, plain, LOCAL * on.face_px) + np.float32(1e-9)
-    lacks = mean - np.log(near / (near @ _LUMINANCE)[..., None])
+    lacks = mean - np.log(near / (near @ LUMINANCE_WEIGHTS)[..., None])
     # a collar before the neck has none of skin's colour, though it is as bright
     alike = np.maximum(1 - (lacks**2).sum(2) / CLOTH**2, 0) ** 2
-    dark = np.clip(2 - 2 * (near @ _LUMINANCE) / float(small[skin].mean(0) @ _LUMINANCE), 0, 1)
+    dark = np.clip(
+        2 - 2 * (near @ LUMINANCE_WEIGHTS) / float(small[skin].mean(0) @ LUMINANCE_WEIGHTS), 0, 1
+    )
     share = cv2.GaussianBlur(plain, (0, 0), EDGE * on.face_px) * np.maximum(alike, dark)
     return hidden, share[..., None] * HUE * np.tanh(lacks / HUE)
 

@@ -42,6 +42,7 @@ from skylight.imaging._edits import UNEDITED, Edit
 from skylight.imaging._photo import Photo
 from skylight.portrait._gain import (
     EXACT,
+    LUMINANCE_WEIGHTS,
     SHARP,
     Level,
     Surface,
@@ -65,7 +66,7 @@ from skylight.portrait._room import (
     white_of,
 )
 from skylight.portrait._surface import BUST, FACE_PX, HAIR, PersonSurface
-from skylight.sphere._envmap import LUMINANCE, EnvironmentMap, luminance
+from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.work._progress import Progress
 
 # Of what the skin shows in any channel. Estimates take too much for specular reflection, most of
@@ -77,7 +78,6 @@ BELOW = (Region.NECK, BUST)  # what long hair hangs in front of
 # Of the old picture: nothing more than is no light, the skin's brightness, or all of the place but
 # where its light comes from.
 Keep = Literal["nothing", "brightness", "place"]
-_LUMINANCE = np.array(LUMINANCE, np.float32)
 WHITE, MANY_WHITE = 0.98, 0.1  # over-exposed, and how much of the skin may be
 MORE_BEHIND = 6.0  # times the light that falls on the front of an upright surface
 FLAT = 0.2  # standard deviation of logarithms: skin that shows no direction of its light
@@ -156,7 +156,9 @@ class Portrait:
         mean, shine, shown = (on.mean(each) for each in (shading, specular, small))
         most = min(1.0, float((MOST_SPECULAR * shown / np.maximum(shine, 1e-12)).min()))
         specular = most * specular
-        albedo = float((shown - most * shine) @ _LUMINANCE / max(mean @ _LUMINANCE, 1e-12))
+        albedo = float(
+            (shown - most * shine) @ LUMINANCE_WEIGHTS / max(mean @ LUMINANCE_WEIGHTS, 1e-12)
+        )
         albedo = max(albedo, _BLACKEST)
         before, exact = (Level.of(shading, specular / albedo, on, x) for x in (SHARP, EXACT))
         plain = np.isin(regions, PLAIN) & on_skin
@@ -207,7 +209,7 @@ class Portrait:
         gain, tint = after.level - self.before.level, after.colour - self.before.colour
         factor = 1.0
         if keep == "brightness" and received.any():
-            factor = float(self.mean @ _LUMINANCE / (received @ _LUMINANCE))
+            factor = float(self.mean @ LUMINANCE_WEIGHTS / (received @ LUMINANCE_WEIGHTS))
         if keep == "place" and received.all():
             tint = tint - self.on.mean(tint)
         other = 1 - shared_light(self.found, light)
@@ -303,7 +305,7 @@ def _images(
     )
     if grey:
         diffuse, specular = (
-            np.repeat((x @ _LUMINANCE)[..., None], 3, 2) for x in (diffuse, specular)
+            np.repeat((x @ LUMINANCE_WEIGHTS)[..., None], 3, 2) for x in (diffuse, specular)
         )
     return diffuse, specular
 

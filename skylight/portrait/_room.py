@@ -15,10 +15,16 @@ from numpy import ndarray
 
 from skylight.imaging._colour import srgb_to_linear
 from skylight.imaging._photo import Photo
-from skylight.portrait._gain import BRIGHTER, DARKEST, EDGE, PORES, blurred, float32
-from skylight.sphere._envmap import LUMINANCE
+from skylight.portrait._gain import (
+    BRIGHTER,
+    DARKEST,
+    EDGE,
+    LUMINANCE_WEIGHTS,
+    PORES,
+    blurred,
+    float32,
+)
 
-_LUMINANCE = np.array(LUMINANCE, np.float32)
 VEILING = 0.02  # stray light over the picture's mean: glare of usual lenses is 1 to 3 % (ISO 9358)
 LEAST_ROOM = 0.05  # logarithm: what white may still become brighter by, and is rolled off
 SHOULDER, EDGE_OF_WHITE = 0.3, 0.08  # of white, below it: where codes lose colour, and brightness
@@ -49,7 +55,7 @@ def base_of(
 
 def veil_of(picture: Float[ndarray, "h w 3"], white: float) -> float:
     """Stray light over white, :data:`VEILING` of the picture's mean."""
-    return VEILING * float((np.clip(picture / white, 0, 1) @ _LUMINANCE).mean())
+    return VEILING * float((np.clip(picture / white, 0, 1) @ LUMINANCE_WEIGHTS).mean())
 
 
 def headroom(base: Float[ndarray, "h w"], typical: float) -> Float[ndarray, "h w"]:
@@ -103,7 +109,7 @@ def light_share(
     all light is the sky's, and stays.
     """
     inside = float32(matte > WHOLLY)
-    shown = (picture @ _LUMINANCE)[..., None]
+    shown = (picture @ LUMINANCE_WEIGHTS)[..., None]
     own = blurred(shown, inside, WITHIN * face_px)
     dim = np.minimum(1, own / np.maximum(shown, 1e-6))[..., 0]
     sure = np.clip((matte - WHOLLY) / (1 - WHOLLY), 0, 1)

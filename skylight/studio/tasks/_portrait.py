@@ -43,6 +43,7 @@ from skylight.portrait._gain import (
     BRIGHTER,
     DARKER,
     DARKEST,
+    LUMINANCE_WEIGHTS,
     SHARP,
     SHINE,
     SOFT,
@@ -64,7 +65,7 @@ from skylight.portrait._relit import (
 )
 from skylight.portrait._room import EDGE_OF_WHITE, LEAST_ROOM, SHOULDER
 from skylight.portrait._surface import scaled
-from skylight.sphere._envmap import LUMINANCE, luminance
+from skylight.sphere._envmap import luminance
 from skylight.studio.tasks._uploads import open_photo
 from skylight.work._progress import StageProgress
 from skylight.work._threads import cores
@@ -144,8 +145,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     surface, fill = portrait.person.surface, fill_of(portrait.found)
     level = brightness_of_ball(fill)
     fill_shading, fill_specular = (
-        image @ np.array(LUMINANCE, np.float32) / np.float32(level)
-        for image in portrait.shaded_by(fill)
+        image @ LUMINANCE_WEIGHTS / np.float32(level) for image in portrait.shaded_by(fill)
     )
     rows, columns = np.nonzero(portrait.on.covered)  # row by row, as the surface has them
     left, top, width, height = _crop(portrait)
