@@ -137,7 +137,7 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
 
 def _light(result: PhotoEstimate) -> UInt8[ndarray, "h w 3"]:
     """The panorama above a scene of objects, each exposed by itself."""
-    environment, scene = result.estimate.environment, evaluation_scene()
+    environment, scene = result.estimate.environment, evaluation_scene(144, 32)  # comes with it
     mean = float(luminance(scene.shade(environment)).mean())
     above = tone_map(environment.radiance, white=3 * mean)
     below = tone_map(scene.relight(environment), white=2 * mean)
