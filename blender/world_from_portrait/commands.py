@@ -9,6 +9,15 @@ from .run import Failure, Step
 
 COMPATIBLE = (0, 3), (0, 4)  # from the first on, below the second
 EXPORTED = "blender"  # folder within an estimate's
+KEYS = (
+    ("left", "Left", "From the viewer's left, above"),
+    ("right", "Right", "From the viewer's right, above"),
+    ("top", "Top", "From above the camera"),
+    ("rim", "Rim", "From behind the sitter"),
+    ("front", "Front", "From the camera"),
+)
+SIZES_DEG, USUAL_DEG = (2.0, 120.0), 15.0  # of a key light
+MOST_STRENGTH, USUAL_STRENGTH = 1000.0, 4.0  # key over fill
 LIGHTS = (
     ("sphere", "Any Place", "Outdoors, rooms, studios, streets; uses what is behind the person"),
     ("autoencoder", "Outdoors", "A sky, sun or clouds, over a ground"),
@@ -55,5 +64,22 @@ def export_steps(program: str, folder: Path, photo: Path | None = None) -> list[
     command = [program, "export", "blender", str(folder), str(folder / EXPORTED)]
     if photo is not None:
         command += ["--photo", str(photo)]
-    check = Step("asking for the version", [program, "--version"], check_version)
-    return [check, Step("exporting to Blender", command)]
+    return [_asked_version(program), Step("exporting to Blender", command)]
+
+
+def relight_steps(
+    program: str, folder: Path, key: str, *, size_deg: float, strength: float
+) -> list[Step]:
+    """Relight the portrait of an estimate by a key light, into :func:`relit_picture`."""
+    command = [program, "relight-portrait", str(folder), "--key", key, "--size", f"{size_deg:g}"]
+    command += ["--strength", f"{strength:g}", "--out", str(relit_picture(folder, key))]
+    return [_asked_version(program), Step("relighting the portrait", command)]
+
+
+def relit_picture(folder: Path, key: str) -> Path:
+    """Beside the estimate's files; the next one by the same key takes its place."""
+    return folder / f"relit_{key}.png"
+
+
+def _asked_version(program: str) -> Step:
+    return Step("asking for the version", [program, "--version"], check_version)

@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 import bpy
 
 from . import running
-from .operators import Cancel, Estimate, OpenEstimate
+from .operators import Cancel, Estimate, OpenEstimate, Relight
+from .scene_setup import shows_as_photographed
 from .wording import of_verdict
 
 LETTER_PX = 7  # about, of Blender's own font at a scale of 1
@@ -42,6 +43,25 @@ class Drawn:
             _lines(box, asked.verdict.capitalize(), icon, columns)
             for line in (sentence, *asked.advice.split("\n")):
                 _lines(box, line, "NONE", columns)
+            _colours(layout.box(), context.scene, columns)
+            _relighting(layout.box(), asked)
+
+
+def _colours(layout: Any, scene: bpy.types.Scene, columns: int) -> None:
+    """What white looks like, and whether colours are shown as the photograph's are."""
+    layout.prop(scene.world_from_portrait, "white")
+    if shows_as_photographed(scene):
+        _lines(layout, "Shown as the photo is: view Standard, exposure 0.", "COLOR", columns)
+    else:
+        line = "Not the photo's colours: set view Standard, look None, exposure 0, gamma 1."
+        _lines(layout, line, "ERROR", columns)
+
+
+def _relighting(layout: Any, asked: Any) -> None:
+    """The person of the photograph in another light, as a picture."""
+    for name in ("key", "size_deg", "strength"):
+        layout.prop(asked, name)
+    layout.operator(Relight.bl_idname, icon="LIGHT_AREA")
 
 
 class Sidebar(Drawn, bpy.types.Panel):

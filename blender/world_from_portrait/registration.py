@@ -4,7 +4,15 @@
 import bpy
 
 from . import operators, panels, running
-from .commands import LIGHTS
+from .commands import (
+    KEYS,
+    LIGHTS,
+    MOST_STRENGTH,
+    SIZES_DEG,
+    USUAL_DEG,
+    USUAL_STRENGTH,
+)
+from .scene_setup import light_as_white
 
 
 class WorldFromPortraitAsked(bpy.types.PropertyGroup):
@@ -20,6 +28,33 @@ class WorldFromPortraitAsked(bpy.types.PropertyGroup):
         name="Results",
         description="Folder for what skylight finds; by default beside the photo, with _light",
         subtype="DIR_PATH",
+    )
+    white: bpy.props.FloatVectorProperty(
+        name="White",
+        description="What white paint that faces the camera looks like in this light. Pick a wall, "
+        "paper or shirt in the photo that is white, and the light takes its brightness and colour",
+        subtype="COLOR",
+        min=0.0,
+        update=light_as_white,
+    )
+    white_found: bpy.props.FloatVectorProperty()
+    estimate: bpy.props.StringProperty(subtype="DIR_PATH")  # that the scene is set up from
+    key: bpy.props.EnumProperty(name="Key", description="Where the key light is", items=KEYS)
+    size_deg: bpy.props.FloatProperty(
+        name="Softness",
+        description="Width of the key light in degrees: 5 is a bare bulb, 40 a softbox nearby",
+        min=SIZES_DEG[0],
+        max=SIZES_DEG[1],
+        default=USUAL_DEG,
+        precision=0,
+    )
+    strength: bpy.props.FloatProperty(
+        name="Strength",
+        description="How many times as bright as the fill the key light is; 0 leaves the fill",
+        min=0.0,
+        soft_max=8.0,
+        max=MOST_STRENGTH,
+        default=USUAL_STRENGTH,
     )
     verdict: bpy.props.StringProperty()
     advice: bpy.props.StringProperty()

@@ -38,12 +38,14 @@ class Run:
     """Steps that go on while :meth:`poll` is called now and then.
 
     ``state`` is "running", "done", "failed" (``error`` says why) or "cancelled"; ``stage`` and
-    ``share`` (0 to 1) are those of the step, or what its process tells of itself.
+    ``share`` (0 to 1) are those of the step, or what its process tells of itself; ``doubts`` are
+    the lines about what to take care of.
     """
 
     def __init__(self, steps: list[Step]) -> None:
         self.state = "running"
         self.stage, self.share, self.error = "", 0.0, ""
+        self.doubts: list[str] = []
         self._left = list(steps)
         self._cancelled = False
         self._kill_at = float("inf")
@@ -138,7 +140,9 @@ class Run:
         if progress is not None:
             if not self._cancelled:
                 self.stage, self.share = progress
-        elif line.startswith(_ERROR) and not line.startswith(_DOUBT):
+        elif line.startswith(_DOUBT):
+            self.doubts.append(line.removeprefix(_DOUBT).strip())
+        elif line.startswith(_ERROR):
             self._last_error = line.removeprefix(_ERROR).strip()
 
     def _signal(self, *, kill: bool) -> None:

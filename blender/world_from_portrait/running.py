@@ -4,8 +4,8 @@
 A timer watches it rather than a modal operator, which would keep Blender from saving automatically.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import bpy
 
@@ -16,22 +16,22 @@ INTERVAL_S = 0.2
 
 @dataclass
 class Watched:
-    """A run for a scene (by name, since undo may replace it), whose files will be in a folder."""
+    """A run for a scene (by name, since undo may replace it); ``then`` does what comes after."""
 
     run: Run
     scene: str
-    folder: Path
+    then: Callable[[Run], None]
 
 
 current: Watched | None = None
-message = ""  # why there is no scene
+message = ""  # why there is no scene, or what to take care of
 
 
-def start(steps: list[Step], scene: bpy.types.Scene, folder: Path) -> None:
-    """Run the steps, then set the scene up from what lies in ``folder``."""
+def start(steps: list[Step], scene: bpy.types.Scene, then: Callable[[Run], None]) -> None:
+    """Run the steps, then call ``then`` with the run, while the scene is that of the context."""
     global current
     tell("")
-    current = Watched(Run(steps), scene.name, folder)
+    current = Watched(Run(steps), scene.name, then)
     bpy.app.timers.register(tick, first_interval=INTERVAL_S)
 
 
@@ -58,7 +58,7 @@ def tick() -> float | None:
         return INTERVAL_S
     ended, current = current, None
     if state == "done":
-        _set_up(ended)
+        _finish(ended)
     else:
         tell("Cancelled." if state == "cancelled" else ended.run.error)
     return None
@@ -76,15 +76,14 @@ def _is_busy() -> bool:
     return bpy.context.mode != "OBJECT" or bpy.app.is_job_running("RENDER")
 
 
-def _set_up(ended: Watched) -> None:
+def _finish(ended: Watched) -> None:
     scene = bpy.data.scenes.get(ended.scene)
     if scene is None:
         tell(f'The scene "{ended.scene}" is not there any more: estimate again')
         return
     try:
         with bpy.context.temp_override(scene=scene):
-            # True: a step of undo, which operators called from Python do not make otherwise
-            bpy.ops.world_from_portrait.set_up("EXEC_DEFAULT", True, folder=str(ended.folder))
+            ended.then(ended.run)
     except RuntimeError:  # reported, and told by the operator
         pass
 
@@ -92,5 +91,5 @@ def _set_up(ended: Watched) -> None:
 def _redraw() -> None:
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
-            if area.type in ("VIEW_3D", "PROPERTIES"):
+            if area.type in ("VIEW_3D", "PROPERTIES", "IMAGE_EDITOR"):
                 area.tag_redraw()

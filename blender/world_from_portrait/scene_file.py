@@ -10,7 +10,7 @@ from typing import Any
 
 from .run import Failure
 
-NAME, KIND, VERSION = "blender_scene.json", "skylight blender scene", 1
+NAME, KIND, VERSION = "blender_scene.json", "skylight blender scene", 2
 LARGEST = 3e38  # of Blender's numbers, which have single precision
 MOST_PIXELS = 65536  # of a side that it renders
 Vector = tuple[float, float, float]
@@ -31,7 +31,9 @@ class Sun:
 class PortraitScene:
     """The camera is at the origin and looks along +Y, +Z up; its centre is the picture's middle.
 
-    ``albedo``, ``ior`` and ``roughness`` are the skin's, as of a Principled BSDF.
+    ``albedo``, ``ior`` and ``roughness`` are the skin's, as of a Principled BSDF; ``white`` is what
+    white paint that faces the camera shows in this light, linear. ``estimate`` is the folder of the
+    estimate, where the scene lies in one.
     """
 
     world: Path
@@ -43,8 +45,10 @@ class PortraitScene:
     albedo: Vector
     ior: float
     roughness: float
+    white: Vector
     verdict: str
     advice: tuple[str, ...]
+    estimate: Path | None
 
 
 def read_scene(folder: Path) -> PortraitScene:
@@ -76,8 +80,10 @@ def read_scene(folder: Path) -> PortraitScene:
             albedo=_vector(content["albedo"]),
             ior=_number(content["ior"], least=1),
             roughness=_number(content["roughness"], least=0),
+            white=_vector(content["white"], least=0),
             verdict=str(content["verdict"]),
             advice=tuple(str(line) for line in content["advice"]),
+            estimate=folder.parent if (folder.parent / "estimate.json").is_file() else None,
         )
     except (KeyError, TypeError, ValueError) as error:
         raise Failure(f"{path}: damaged ({error}): estimate again") from error
@@ -127,9 +133,9 @@ def _file_name(told: Any) -> str:
     return told
 
 
-def _vector(told: Any) -> Vector:
-    x, y, z = told
-    return _number(x), _number(y), _number(z)
+def _vector(told: Any, *, least: float = -math.inf) -> Vector:
+    x, y, z = (_number(each, least=least) for each in told)
+    return x, y, z
 
 
 def _number(told: Any, *, above: float = -math.inf, least: float = -math.inf) -> float:

@@ -3,7 +3,7 @@
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -17,6 +17,17 @@ NAME = "World from Portrait"
 MARK = "world_from_portrait"  # a custom property of what a set-up made, which the next replaces
 SENSOR_MM = 36.0
 AWAY_M = 5.0  # where a sun's icon is drawn; its light is parallel
+WHITE_NODE = "white"  # multiplies the world's light
+# A value of the render then is shown as the photograph shows that value, by sRGB's curve alone.
+# The last one is there since Blender 4.3.
+VIEW = {
+    "view_transform": "Standard",
+    "look": "None",
+    "exposure": 0.0,
+    "gamma": 1.0,
+    "use_curve_mapping": False,
+    "use_white_balance": False,
+}
 
 
 def set_up(scene: bpy.types.Scene, portrait: PortraitScene) -> None:
@@ -45,9 +56,40 @@ def set_up(scene: bpy.types.Scene, portrait: PortraitScene) -> None:
         _see_as(scene, portrait)
         told = scene.world_from_portrait
         told.verdict, told.advice = portrait.verdict, "\n".join(portrait.advice)
+        told.estimate = str(portrait.estimate) if portrait.estimate else ""
+        told.white_found = portrait.white
+        told.white = portrait.white
     _remove(earlier, earlier_collections)
     for block in made.blocks:  # those of before had the names
         block.name = re.sub(r"\.\d{3}$", "", block.name)
+
+
+def light_as_white(told: Any, context: bpy.types.Context) -> None:
+    """Multiply all light of the set-up so that white paint becomes what is called ``white``.
+
+    The head stays as the photograph has it: its albedo is divided by as much, up to 1.
+    """
+    scene = told.id_data
+    world = scene.world.node_tree if scene.world is not None and scene.world.get(MARK) else None
+    # a channel without light stays without
+    gains = [w / f if f > 0 else 1.0 for w, f in zip(told.white, told.white_found, strict=True)]
+    if world is not None and WHITE_NODE in world.nodes:
+        world.nodes[WHITE_NODE].inputs[1].default_value = gains
+    for block in (each for each in scene.collection.all_objects if each.get(MARK)):
+        if block.type == "LIGHT":
+            found = block.data["irradiance"]
+            _shine(block.data, [gain * each for gain, each in zip(gains, found, strict=True)])
+        elif block.type == "MESH" and "albedo" in (skin := block.active_material or {}):
+            seen = zip(skin["albedo"], gains, strict=True)
+            albedo = [min(each / gain, 1.0) if gain > 0 else each for each, gain in seen]
+            for node in (each for each in skin.node_tree.nodes if each.type == "BSDF_PRINCIPLED"):
+                node.inputs["Base Color"].default_value = (*albedo, 1.0)
+
+
+def shows_as_photographed(scene: bpy.types.Scene) -> bool:
+    """Whether colours are still shown as a set-up has them shown."""
+    view = scene.view_settings
+    return all(getattr(view, name, value) == value for name, value in VIEW.items())
 
 
 class _Made:
@@ -76,11 +118,11 @@ def _all_or_nothing(scene: bpy.types.Scene) -> Iterator[_Made]:
         (render, "pixel_aspect_x"),
         (render, "pixel_aspect_y"),
         (render, "film_transparent"),
-        (scene.view_settings, "view_transform"),
-        (told, "verdict"),
-        (told, "advice"),
+        (scene.display_settings, "display_device"),
+        *((scene.view_settings, name) for name in VIEW if hasattr(scene.view_settings, name)),
+        *((told, name) for name in ("verdict", "advice", "estimate", "white_found", "white")),
     ]
-    before = [(owner, name, getattr(owner, name)) for owner, name in settings]
+    before = [(owner, name, _value(getattr(owner, name))) for owner, name in settings]
     try:
         yield made
     except BaseException:
@@ -88,6 +130,11 @@ def _all_or_nothing(scene: bpy.types.Scene) -> Iterator[_Made]:
             setattr(owner, name, value)
         bpy.data.batch_remove(made.blocks)
         raise
+
+
+def _value(of: Any) -> Any:
+    """What a list of Blender's has now: it would follow."""
+    return of[:] if hasattr(of, "__len__") else of
 
 
 def _see_as(scene: bpy.types.Scene, portrait: PortraitScene) -> None:
@@ -98,10 +145,14 @@ def _see_as(scene: bpy.types.Scene, portrait: PortraitScene) -> None:
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
     render.film_transparent = True
     try:
-        # others than sRGB's own curve would change colours that the photograph has already
-        scene.view_settings.view_transform = "Standard"
+        scene.display_settings.display_device = "sRGB"
+        for name, value in VIEW.items():
+            if hasattr(scene.view_settings, name):
+                setattr(scene.view_settings, name, value)
     except TypeError as error:
-        raise Failure('this colour management has no view "Standard": use Blender\'s') from error
+        raise Failure(
+            'this colour management has no view "Standard" of sRGB: use Blender\'s'
+        ) from error
 
 
 def _image(made: _Made, path: Any) -> bpy.types.Image:
@@ -122,19 +173,30 @@ def _world(made: _Made, portrait: PortraitScene) -> bpy.types.World:
     picture = nodes.new("ShaderNodeTexEnvironment")
     picture.image = _image(made, portrait.world)
     picture.projection = "EQUIRECTANGULAR"
-    links.new(picture.outputs["Color"], background.inputs["Color"])
+    white = nodes.new("ShaderNodeVectorMath")
+    white.name, white.operation = WHITE_NODE, "MULTIPLY"
+    links.new(picture.outputs["Color"], white.inputs[0])
+    links.new(white.outputs["Vector"], background.inputs["Color"])
     links.new(background.outputs["Background"], output.inputs["Surface"])
     return world
 
 
 def _sun(made: _Made, sun: Sun) -> bpy.types.Object:
     light = made(bpy.data.lights.new(sun.name, "SUN"))
-    light.color, light.energy, light.angle = sun.colour, sun.energy, sun.angle_rad
+    light["irradiance"] = [sun.energy * channel for channel in sun.colour]
+    light.angle = sun.angle_rad
+    _shine(light, light["irradiance"])
     lamp = made(bpy.data.objects.new(sun.name, light))
     towards = mathutils.Vector(sun.towards)
     lamp.rotation_euler = towards.to_track_quat("Z", "Y").to_euler()  # it shines along its -Z
     lamp.location = AWAY_M * towards
     return lamp
+
+
+def _shine(light: Any, irradiance: Sequence[float]) -> None:
+    """Of a surface that faces it; Blender's colours go up to 1."""
+    light.energy = max(irradiance)
+    light.color = [channel / (light.energy or 1.0) for channel in irradiance]
 
 
 def _camera(made: _Made, portrait: PortraitScene, photograph: bpy.types.Image) -> bpy.types.Object:
@@ -159,6 +221,7 @@ def _head(
     skin = made(bpy.data.materials.new("portrait skin"))
     nodes, links = _empty_nodes(skin)
     surface, output = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeOutputMaterial")
+    skin["albedo"] = portrait.albedo
     surface.inputs["Base Color"].default_value = (*portrait.albedo, 1.0)
     surface.inputs["IOR"].default_value = portrait.ior
     surface.inputs["Roughness"].default_value = portrait.roughness

@@ -11,13 +11,16 @@ from skylight._names import PLAIN_READING, Convention, MapLayout, MapReading, Si
 from skylight.errors import InputError
 from skylight.work._device import Device
 
+# listed once, in the command's own text
+_PROJECTION = tyro.conf.arg(metavar="PROJECTION")
+
 
 def convert(
     source: Annotated[Positional[Path], tyro.conf.arg(name="in")],
     out: Positional[Path],
-    to: MapLayout = "latlong",
+    to: Annotated[MapLayout, _PROJECTION] = "latlong",
     convention: Convention = "skylight",
-    from_: Annotated[MapLayout, tyro.conf.arg(name="from")] = "latlong",
+    from_: Annotated[MapLayout, _PROJECTION, tyro.conf.arg(name="from")] = "latlong",
     from_convention: Convention = "skylight",
     height: int | None = None,
     rotate: float = 0.0,
@@ -31,17 +34,24 @@ def convert(
 ) -> None:
     """Write a map of light in another projection, turned or brighter, or as a program turns it.
 
-    Projections: latlong; cube (a cross of six faces: written 4:3, read 4:3 or 3:4), cube-vertical
-    (3:4), cube-row and cube-column (strips), cube-faces (six files: a folder of px.hdr, nx.hdr ...,
-    or a pattern as sky_{}.exr; posx ... and right, left, top, bottom, front, back are read too);
-    octahedral (the zenith in the centre); angular (Debevec's, forwards in the centre); mirrorball
-    (what such a ball shows a camera far away). Conventions say where the columns of a lat-long map
-    look.
+    A PROJECTION is latlong, octahedral (the zenith in the centre), angular (Debevec's, forwards in
+    the centre), mirrorball (what such a ball shows a camera far away), or the faces of a cube:
+
+    cube: a lying cross, 4:3; one that stands, 3:4, is read too.
+
+    cube-vertical: a standing cross.
+
+    cube-row, cube-column: a strip.
+
+    cube-faces: a file each, in a folder (px.hdr, nx.hdr ... are written; posx ... and right, left,
+    top, bottom, front, back are read too) or by a pattern such as sky_{}.exr.
+
+    Conventions say where the columns of a lat-long map look.
 
     Args:
         source: The map to read: .exr, .hdr, .pic, or a .tif of float samples. Colours that it
-            declares are converted to linear Rec.709. Of cube-faces, a folder or pattern.
-        out: The file to write: .exr or .hdr. Of cube-faces, a folder or pattern.
+            declares are converted to linear Rec.709.
+        out: The file to write: .exr or .hdr.
         to: Projection of the file to write.
         convention: Which program's way of turning lat-long maps to write.
         from_: Projection of the map to read.

@@ -4,6 +4,7 @@
 extension sets up for a portrait: light, camera, head and photograph.
 """
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +27,12 @@ from skylight.imaging._photo import read_photo
 from skylight.inverse._result import Lamp
 from skylight.io._hdr import RGBE_MAX
 from skylight.maps._estimated import head_file, luminance_of_1, picked, read_light, read_numbers
-from skylight.relight._blender import PortraitScene, write_blender, write_blender_scene
+from skylight.relight._blender import (
+    WHITE_PAINT,
+    PortraitScene,
+    write_blender,
+    write_blender_scene,
+)
 from skylight.relight._compact import compact_lights
 from skylight.relight._gltf import LAST_SIZE, write_gltf
 from skylight.relight._harmonics import (
@@ -165,8 +171,9 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
 
     The sun, or an estimate's lamps, are lights of their own and the map is the rest. All light is
     multiplied by the picture's white balance, so that a surface of albedo a shows a / pi times its
-    irradiance in the photograph's own linear values. Of several faces, the first one counts, with
-    its photograph.
+    irradiance in the photograph's own linear values. ``white`` in the scene's file is that of white
+    paint which faces the camera: 0.8 / pi times its irradiance. Of several faces, the first one
+    counts, with its photograph.
 
     Parameters
     ----------
@@ -211,6 +218,7 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
         head=head,
         albedo=torch.tensor(face["albedo"], dtype=torch.float64),
         specular=replace(SKIN_SPECULAR, f0=min(face["gloss"] * SKIN_SPECULAR.f0, MOST_REFLECTED)),
+        white=WHITE_PAINT / math.pi * light.irradiance(torch.tensor([0.0, 0.0, 1.0])) * shown,
         verdict=told["verdict"]["summary"],
         advice=told["advice"],
         cd_per_m2=luminance_of_1(numbers),

@@ -109,7 +109,8 @@ def _sun(number: int, lamp: Lamp) -> str:
 
 
 SCENE, PHOTOGRAPH, HEAD = "blender_scene.json", "photograph.png", "head.obj"
-KIND, VERSION = "skylight blender scene", 1  # the extension reads these alone
+KIND, VERSION = "skylight blender scene", 2  # the extension reads these alone
+WHITE_PAINT = 0.8  # reflectance of walls and paper that are called white
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,8 +120,9 @@ class PortraitScene:
     ``ambient`` is the light without the ``lamps``, each with its name. ``photograph`` has sRGB's
     codes, upright; the camera's centre is its middle and ``focal_px`` its focal length. ``head``
     is the .obj of the face, in metres, ``albedo`` its mean reflectance and ``specular`` its
-    specular lobe; ``cd_per_m2`` the luminance of a radiance of 1. ``verdict`` and ``advice`` tell
-    how far to trust the light.
+    specular lobe; ``white`` the linear value that the photograph shows of white paint which faces
+    the camera; ``cd_per_m2`` the luminance of a radiance of 1. ``verdict`` and ``advice`` tell how
+    far to trust the light.
     """
 
     ambient: EnvironmentMap
@@ -130,6 +132,7 @@ class PortraitScene:
     head: Path
     albedo: Float[Tensor, "3"]
     specular: Specular
+    white: Float[Tensor, "3"]
     verdict: str
     advice: Sequence[str]
     cd_per_m2: float | None = None
@@ -159,6 +162,7 @@ def write_blender_scene(folder: Path, scene: PortraitScene) -> list[str]:
         "albedo": scene.albedo.tolist(),
         "ior": _index_of_refraction(scene.specular.f0),
         "roughness": scene.specular.roughness,
+        "white": scene.white.tolist(),
         "verdict": scene.verdict,
         "advice": list(scene.advice),
     }

@@ -137,6 +137,8 @@ class Studio:
             if task == "photo":
                 arguments["preview"] = str(preview_of(folder))
             seen = await self._read(task, arguments)
+            if await request.is_disconnected():  # nobody learns what it is called
+                raise Refused(400, f"{name}: whoever sent it has gone")
         except BaseException:
             kept.remove(folder)
             raise

@@ -1,6 +1,6 @@
 """What tests ask of Blender itself, by its module bpy, in a process of its own::
 
-    python in_blender.py CHECK '{"zip": "world_from_portrait-0.1.1.zip", ...}'
+    python in_blender.py CHECK '{"zip": "world_from_portrait-0.2.0.zip", ...}'
 
 installs the extension's zip as a user would, does the check and prints FOUND and its answer as
 JSON. Nothing of skylight is imported here.
@@ -167,6 +167,59 @@ def head_rendered(asked: Asked) -> list[int]:
     return list(pixels.shape)
 
 
+# colours
+
+
+def colours(asked: Asked) -> Asked:
+    """White paint that faces the camera, as the set-up shows it and lit as its white is picked."""
+    scene = bpy.context.scene
+    view = scene.view_settings
+    view.view_transform = "AgX"
+    view.look, view.exposure, view.gamma = "AgX - Punchy", 1.5, 1.7
+    view.use_curve_mapping = True
+    if hasattr(view, "use_white_balance"):
+        view.use_white_balance = True
+    bpy.ops.world_from_portrait.set_up(folder=asked["folder"])
+    told, found = scene.world_from_portrait, {}
+    found["told"] = list(told.white)
+    found["first"] = _white_shown(asked)
+    told.white = asked["picked"]
+    found["picked"] = _white_shown(asked)
+    head = bpy.data.objects["portrait head"].active_material.node_tree.nodes["Principled BSDF"]
+    found["albedo"] = list(head.inputs["Base Color"].default_value)[:3]
+    is_shown = module("scene_setup").shows_as_photographed
+    found["is_shown"] = [is_shown(scene)]
+    view.exposure = 0.5
+    found["is_shown"].append(is_shown(scene))
+    bpy.ops.world_from_portrait.set_up(folder=asked["folder"])
+    found["again"] = [*told.white, is_shown(scene)]
+    return found
+
+
+def _white_shown(asked: Asked) -> list[float]:
+    """The 8-bit values, 0 to 1, of an .png of a plane of reflectance 0.8 before the camera."""
+    scene = bpy.context.scene
+    for block in scene.objects:
+        block.hide_render = not block.get(ID) or block.type != "LIGHT"
+    scene.cycles.samples, scene.cycles.use_denoising = asked["samples"], False
+    scene.render.resolution_x = scene.render.resolution_y = 4
+    scene.render.dither_intensity = 0.0
+    bpy.ops.mesh.primitive_plane_add(size=100, location=(0, 50, 0), rotation=(math.pi / 2, 0, 0))
+    plane = bpy.context.object
+    plane.data.materials.append(_white())
+    (diffuse,) = [n for n in plane.active_material.node_tree.nodes if n.type == "BSDF_DIFFUSE"]
+    diffuse.inputs["Color"].default_value = 0.8, 0.8, 0.8, 1
+    scene.render.image_settings.file_format = "PNG"
+    scene.render.image_settings.color_mode = "RGB"
+    scene.render.filepath = asked["out"]
+    bpy.ops.render.render(write_still=True)
+    picture = bpy.data.images.load(asked["out"], check_existing=False)
+    codes = np.array(picture.pixels[:]).reshape(-1, 4)  # of 8 bits: as they are in the file
+    bpy.data.images.remove(picture)
+    bpy.data.objects.remove(plane)
+    return codes[:, :3].mean(0).tolist()
+
+
 # nothing half made
 
 
@@ -260,9 +313,16 @@ def state() -> Asked:
             scene.render.resolution_x,
             scene.render.resolution_y,
             scene.render.film_transparent,
-            scene.view_settings.view_transform,
+            scene.display_settings.display_device,
+            *(
+                getattr(scene.view_settings, name)
+                for name in ("view_transform", "look", "exposure")
+            ),
         ],
-        "told": [scene.world_from_portrait.verdict, scene.world_from_portrait.advice],
+        "told": [
+            getattr(scene.world_from_portrait, name) for name in ("verdict", "advice", "estimate")
+        ],
+        "white": list(scene.world_from_portrait.white),
     }
 
 
@@ -291,15 +351,32 @@ def runs(asked: Asked) -> list[Asked]:
         settings.light = one.get("light", "autoencoder")
         before = state()
         told = _run(one)
-        found.append(told | {"is_unchanged": state() == before, "verdict": settings.verdict})
+        images = {image.name: list(image.size) for image in bpy.data.images}
+        shown = [a.spaces.active.image for a in _image_editors() if a.spaces.active.image]
+        found.append(
+            told
+            | {"is_unchanged": state() == before, "verdict": settings.verdict, "images": images}
+            | {"shown": [image.name for image in shown]}
+        )
+        if one.get("editor"):  # from now on there is one
+            bpy.context.window_manager.windows[0].screen.areas[0].type = "IMAGE_EDITOR"
     return found
+
+
+def _image_editors() -> list[bpy.types.Area]:
+    windows = bpy.context.window_manager.windows
+    return [a for w in windows for a in w.screen.areas if a.type == "IMAGE_EDITOR"]
 
 
 def _run(one: Asked) -> Asked:
     running = module("running")
     operators = bpy.ops.world_from_portrait
     try:
-        if "estimate" in one:
+        if "key" in one:
+            asked = bpy.context.scene.world_from_portrait
+            asked.key, asked.size_deg, asked.strength = one["key"], one["size_deg"], 6.0
+            operators.relight()
+        elif "estimate" in one:
             operators.open_estimate(directory=one["estimate"])
         else:
             operators.estimate()
@@ -379,8 +456,8 @@ def drawn(asked: Asked) -> None:
 CHECKS = {
     each.__name__: each
     for each in (
-        set_up, irradiance, head_rendered, refusals, without_cycles, broken_off, again, undo, runs,
-        left_behind, drawn,
+        set_up, irradiance, head_rendered, colours, refusals, without_cycles, broken_off, again,
+        undo, runs, left_behind, drawn,
     )
 }  # fmt: skip
 

@@ -19,7 +19,7 @@ import torch
 from PIL import Image
 
 from skylight.cli import main
-from skylight.imaging._colour import srgb_to_linear
+from skylight.imaging._colour import linear_to_srgb, srgb_to_linear
 from skylight.io._files import read_environment_map
 from skylight.skies._sun import SUN_RADIUS_RAD
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -219,6 +219,34 @@ def test_the_head_in_cycles_looks_like_the_photograph(
     assert float(torch.corrcoef(both)[0, 1]) > 0.8
 
 
+def test_white_is_as_told_whatever_the_view_was(
+    place: Path, zipped: Path, exported: Path, estimate: Path
+) -> None:
+    """Values of a picture that Blender writes, beside the photograph's: from AgX, a look, gamma."""
+    told = torch.tensor(json.loads((exported / "blender_scene.json").read_text())["white"])
+    towards_camera = torch.tensor([0.0, 0.0, 1.0])
+    exact = 0.8 / math.pi * lit_by(estimate).irradiance(towards_camera)
+    torch.testing.assert_close(told, exact, rtol=1e-3, atol=0)
+    picked = [0.55, 0.5, 0.4]
+    found = blender(
+        "colours",
+        zipped,
+        folder=str(exported),
+        samples=1024,
+        picked=picked,
+        out=str(place / "white.png"),
+    )
+    assert found["told"] == pytest.approx(told.tolist(), rel=1e-5)
+    for linear, codes in ((told, found["first"]), (torch.tensor(picked), found["picked"])):
+        shown = linear_to_srgb(linear.clamp(max=1))
+        torch.testing.assert_close(torch.tensor(codes), shown, rtol=0, atol=0.015)
+    albedo = json.loads((exported / "blender_scene.json").read_text())["albedo"]
+    kept = [a * w / p for a, w, p in zip(albedo, told.tolist(), picked, strict=True)]
+    assert found["albedo"] == pytest.approx([min(each, 1.0) for each in kept], rel=1e-4)
+    assert found["is_shown"] == [True, False]
+    assert found["again"] == pytest.approx([*told.tolist(), True], rel=1e-5)
+
+
 # all or nothing
 
 
@@ -302,10 +330,13 @@ def test_photographs_become_scenes_or_a_line(
         {"program": mine, "estimate": str(tmp_path)},
         {"program": mine, "estimate": str(estimate)},
         {"program": mine, "photo": str(photo), "out": str(out), "light": "lamps"},
+        {"program": mine, "key": "left", "size_deg": 30.0, "editor": True},
+        {"program": mine, "key": "rim", "size_deg": 5.0},
+        {"program": str(other), "key": "rim", "size_deg": 5.0},
     ]
     expected = [
         "there is no such program: set the path in the preferences",
-        "skylight 0.7.1: this extension needs skylight 0.2 to below 0.4",
+        "skylight 0.7.1: this extension needs skylight 0.3 to below 0.4",
         "Choose a photo first",
         "there is no such photo",
         "no face",
@@ -313,17 +344,27 @@ def test_photographs_become_scenes_or_a_line(
         "not the folder of an estimate",
         "",
         "",
+        "relit_left.png is there: choose it in an Image Editor",
+        "",
+        "skylight 0.7.1",
     ]
     found = blender("runs", zipped, runs=runs)
-    for line, told in zip(expected, found, strict=True):
+    for run, line, told in zip(runs, expected, found, strict=True):
         assert line in told["panel"]
         assert "\n" not in told["panel"]
-        assert (told["panel"] == "") == (line == "")
-        assert told["is_unchanged"] == (line != "")
+        if "key" not in run:
+            assert (told["panel"] == "") == (line == "")
+            assert told["is_unchanged"] == (line != "")
     assert found[7]["verdict"] == numbers(estimate)["verdict"]["summary"]
     stages = found[8]["stages"]
     wanted = ["finding the face", "tracing light", "estimating the light", "exporting to Blender"]
     assert [stage for stage in stages if stage in wanted] == wanted
+    left, rim = out / "relit_left.png", out / "relit_rim.png"
+    with Image.open(photo) as before, Image.open(left) as lit, Image.open(rim) as edged:
+        assert found[9]["images"][left.name] == found[10]["images"][rim.name] == list(before.size)
+        assert lit.tobytes() != before.convert("RGB").tobytes() != edged.tobytes()
+    assert (found[9]["shown"], found[10]["shown"]) == ([], [rim.name])
+    assert found[11]["is_unchanged"]
     # of the run that was cancelled nothing is left but what the last one made
     assert not [path.name for path in out.iterdir() if path.name.startswith(".")]
 

@@ -11,9 +11,15 @@ import pytest
 from blender.world_from_portrait import run as run_module
 from blender.world_from_portrait.commands import (
     COMPATIBLE,
+    KEYS,
+    SIZES_DEG,
+    USUAL_DEG,
+    USUAL_STRENGTH,
     check_version,
     estimate_steps,
     find_skylight,
+    relight_steps,
+    relit_picture,
 )
 from blender.world_from_portrait.run import Failure, Run, Step, parse_progress
 
@@ -91,6 +97,12 @@ def test_a_failure_is_one_line_and_ends_the_run(program: str, error: str) -> Non
     assert error in run.error
     assert "\n" not in run.error
     assert run.stage != "never"
+
+
+def test_what_to_take_care_of_is_kept() -> None:
+    run = Run([python("import sys; print('skylight: take care: grey\\nother', file=sys.stderr)")])
+    assert ended(run) == "done"
+    assert run.doubts == ["grey"]
 
 
 @pytest.mark.parametrize("program", ["/nowhere/skylight", "a\0b", str(Path(__file__).parent)])
@@ -194,6 +206,25 @@ def test_the_commands_are_those_that_skylight_has() -> None:
     steps = estimate_steps("skylight", Path("missing.jpg"), Path("out"), "auto")
     for step in steps[1:]:
         assert main(step.command[1:]) == 2  # an error of input, not SystemExit of the parser
+
+
+def test_portraits_are_relit_by_the_keys_that_skylight_has(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Parsed by skylight itself, up to what it misses in the estimate's folder."""
+    from skylight.cli import main
+    from skylight.portrait import _keys as of_skylight
+
+    assert {name for name, *_ in KEYS} == set(of_skylight.KEYS)
+    assert SIZES_DEG == (of_skylight.NARROWEST_DEG, of_skylight.WIDEST_DEG)
+    assert (USUAL_DEG, USUAL_STRENGTH) == (of_skylight.USUAL_DEG, of_skylight.KEY_OVER_FILL)
+    (tmp_path / "estimate.json").write_text("{")
+    for name, *_ in KEYS:
+        check, step = relight_steps("skylight", tmp_path, name, size_deg=5.5, strength=0.25)
+        assert check.check is check_version
+        assert main(step.command[1:]) == 2
+        assert "person.safetensors" in capsys.readouterr().err
+        assert relit_picture(tmp_path, name).parent == tmp_path
 
 
 @pytest.mark.parametrize("on_path", [True, False])

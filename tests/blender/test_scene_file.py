@@ -31,6 +31,7 @@ GOOD: dict[str, Any] = {
     "albedo": [0.5, 0.4, 0.3],
     "ior": 1.4,
     "roughness": 0.5,
+    "white": [0.8, 0.7, 0.6],
     "verdict": "direction rough, brightness rough, colour sure",
     "advice": ["a", "b"],
 }
@@ -64,6 +65,10 @@ def test_a_whole_scene_is_read(folder: Path) -> None:
     assert scene.photograph_px == (60, 80)
     assert scene.world == folder / "light.hdr"
     assert scene.advice == ("a", "b")
+    assert scene.white == (0.8, 0.7, 0.6)
+    assert scene.estimate is None
+    (folder.parent / "estimate.json").touch()
+    assert read_scene(folder).estimate == folder.parent
     vertices, faces = read_head(scene.head)
     assert vertices == [(0, 1, 0), (1, 1, 0), (0, 2, 1)]  # ahead, which is +Y, and up, +Z
     assert faces == [(0, 1, 2)]
@@ -73,7 +78,7 @@ def test_a_whole_scene_is_read(folder: Path) -> None:
     ("changed", "message"),
     [
         ({"kind": "other"}, "not a scene that skylight wrote"),
-        ({"version": 2}, "version 2, this extension reads 1"),
+        ({"version": 1}, "version 1, this extension reads 2"),
         ({"version": None}, "version None"),
         ({"photograph_px": [60]}, "damaged"),
         ({"photograph_px": [60, 0]}, "damaged"),
@@ -84,6 +89,8 @@ def test_a_whole_scene_is_read(folder: Path) -> None:
         ({"albedo": [0.5, 0.4, True]}, "a number was expected"),
         ({"ior": 0.9}, "too small"),
         ({"roughness": "rough"}, "a number was expected"),
+        ({"white": [0.8, -0.7, 0.6]}, "too small"),
+        ({"white": [0.8, 0.7]}, "damaged"),
         ({"suns": 3}, "damaged"),
         ({"suns": [SUN | {"energy": -1}]}, "too small"),
         ({"suns": [SUN | {"towards": [0, 1e400, 0]}]}, "a number was expected"),

@@ -3,6 +3,7 @@
 The server's jobs wait for ever, because its worker processes are not started.
 """
 
+import asyncio
 import ctypes
 import json
 import socket
@@ -13,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -108,6 +110,37 @@ def test_uploads_that_do_not_come_in_hold_nothing(
         assert time.monotonic() - begun < guard.GRACE_S  # for the whole time that they may take
     assert list((tmp_path / "photos").iterdir()) == []
     assert asking.post("/api/photos", content=b"").status_code == 400  # there is room again
+
+
+def test_an_upload_whose_sender_has_gone_is_forgotten(
+    idle: tuple[Studio, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a page goes that another photo was given while faces were looked for."""
+    studio, port = idle
+    reading, done = threading.Event(), threading.Event()
+
+    async def read(task: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        reading.set()
+        while not done.is_set():
+            await asyncio.sleep(0.01)
+        return {"size": [1, 1], "faces": [], "notes": []}
+
+    monkeypatch.setattr(studio, "_read", read)
+    head = "Content-Length: 4\r\nConnection: close\r\n\r\n"
+    for stays in (True, False):
+        reading.clear()
+        done.clear()
+        with _connected(port, "POST /api/photos?name=me.jpg") as connection:
+            connection.sendall(f"{head}data".encode())
+            assert reading.wait(PATIENCE_S)
+            if stays:
+                done.set()
+                assert _answer(connection).startswith(b"HTTP/1.1 201")
+                assert len(list((tmp_path / "photos").iterdir())) == 1
+        time.sleep(0.2)  # for the server to hear of it
+        done.set()
+    _becomes(lambda: studio._uploading == 0)
+    assert len(list((tmp_path / "photos").iterdir())) == 1  # of the one that stayed
 
 
 def test_bodies_need_a_least_rate(

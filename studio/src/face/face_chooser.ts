@@ -20,8 +20,8 @@ export function faceChooser(photo: Photo): FaceChooser {
   let chosen: Chosen | null = photo.faces.length ? 1 : null;
   const count = photo.faces.length;
   const boxes = photo.faces.map(({ number, box: [x, y, width, height] }) => {
-    const words = count > 1 ? `Face ${number} of ${count}` : "The face";
-    const button = el("button", { type: "button", class: "face-box", "aria-label": words }, String(number));
+    const [words, shown] = count > 1 ? [`Face ${number} of ${count}`, String(number)] : ["The face", ""];
+    const button = el("button", { type: "button", class: "face-box", "aria-label": words }, shown);
     button.style.left = `${(100 * x) / photo.width}%`;
     button.style.top = `${(100 * y) / photo.height}%`;
     button.style.width = `${(100 * width) / photo.width}%`;

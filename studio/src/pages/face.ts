@@ -1,4 +1,4 @@
-import { about, ApiError, getBytes, previewUrl, uploadPhoto, type Photo } from "../api";
+import { about, ApiError, forgetPhoto, getBytes, previewUrl, uploadPhoto, type Photo } from "../api";
 import { exampleRow } from "../face/example_row";
 import "../face/face.css";
 import type { Workspace } from "../face/workspace";
@@ -80,7 +80,7 @@ function build(): HTMLElement {
     busy.hidden = false;
     try {
       const [photo] = await Promise.all([uploadPhoto(await chosen, mine.signal), drawing()]);
-      if (mine.signal.aborted) return;
+      if (mine.signal.aborted) return forgetPhoto(photo.photo); // another was chosen meanwhile
       const count = photo.faces.length;
       said.textContent = `${count} ${count === 1 ? "face" : "faces"} found`;
       shown?.close();

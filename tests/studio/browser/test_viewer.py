@@ -20,6 +20,7 @@ from tests.studio.browser.composite_page import choose, placement
 from tests.studio.browser.conftest import NO_WEBGL
 from tests.studio.browser.pictures import FOR_DOCUMENTATION, codes, finished, picture, pixels
 from tests.studio.browser.test_browser_access import CONTRASTS, NAMELESS, OVERFLOW
+from tests.studio.browser.test_browser_axe import AXE, faults
 from tests.studio.browser.test_browser_light import directions_as_colours, exposure
 from tests.studio.browser.waiting import PATIENCE_MS, expect, gathered, painted
 
@@ -342,3 +343,11 @@ def test_the_page_is_for_everybody(
     contrasts = page.evaluate(CONTRASTS)
     assert len(contrasts) > 25
     assert [(ratio, text) for ratio, text in contrasts if ratio < 4.5] == []
+
+
+@pytest.mark.skipif(not AXE.is_file(), reason="axe-core is not installed: npm ci in studio")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_no_fault(
+    opened: Opener, estimate: Path, scheme: Literal["light", "dark"]
+) -> None:
+    assert faults(opened(estimate, color_scheme=scheme)) == []
