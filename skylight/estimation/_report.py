@@ -9,7 +9,6 @@ import math
 import re
 from pathlib import Path
 from textwrap import TextWrapper
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -22,25 +21,22 @@ from skylight._figures import (
     MUTED,
     SCENE_GRID,
     SCENE_HEIGHT,
-    STYLE,
     angles_deg,
     relit,
-    save,
-    show,
-    show_probe,
     white_of,
-    write_numbers,
 )
 from skylight.estimation._kept import KeptFace, write_face
+from skylight.estimation._page import SMALL, TITLE, Page, Panel
 from skylight.estimation._summary import (
+    REGION,
     PhotoEstimate,
     describe,
     describe_lights,
-    draw_region,
     has_ground,
     main_light,
     posterior_map,
     probe_title,
+    region_lines,
 )
 from skylight.faces._fit import FaceFit
 from skylight.faces._landmarks import DetectedFace
@@ -53,20 +49,31 @@ from skylight.inverse._verdict import place
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import write_json
 from skylight.io._files import write_environment_map
-from skylight.sphere._envmap import luminance
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import pixel_from_direction
 from skylight.transport._cameras import Camera
 from skylight.transport._rays import Raycaster
 from skylight.transport._render import rasterize
 from skylight.transport._scene import evaluation_scene
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
-    from matplotlib.gridspec import GridSpecBase
-    from matplotlib.image import AxesImage
-
-
 RESIDUAL_LIMIT = 0.5
+NOTHING = (236, 239, 242)
+# ColorBrewer's RdBu of 11 classes (Harrower & Brewer 2003), turned round
+BLUE_TO_RED = np.array(
+    [
+        (5, 48, 97),
+        (33, 102, 172),
+        (67, 147, 195),
+        (146, 197, 222),
+        (209, 229, 240),
+        (247, 247, 247),
+        (253, 219, 199),
+        (244, 165, 130),
+        (214, 96, 77),
+        (178, 24, 43),
+        (103, 0, 31),
+    ]
+)
 LIGHTS = {
     "sphere": "light model: any place, all round (sphere)",
     "autoencoder": "light model: learnt skies (autoencoder)",
@@ -78,19 +85,8 @@ LIGHTS = {
 
 
 def light_in_words(name: str) -> str:
-    """A light model as reports name it: the user's own by its name, in which $ is no formula."""
-    return LIGHTS.get(name, f"light model: {name}".replace("$", r"\$"))
-
-
-def frame_head(axes: "Axes", photo: Photo, face: DetectedFace) -> tuple[float, float]:
-    """Draw a frame around a head of the picture shown; its upper left corner."""
-    from matplotlib.patches import Rectangle
-
-    low, high = head_window(photo, face)
-    axes.add_patch(
-        Rectangle(tuple(low), *(high - low), fill=False, edgecolor=ACCENT, linewidth=1.8)
-    )
-    return float(low[0]), float(low[1])
+    """A light model as reports name it: the user's own by its name."""
+    return LIGHTS.get(name, f"light model: {name}")
 
 
 def head_window(photo: Photo, face: DetectedFace) -> tuple[np.ndarray, np.ndarray]:
@@ -113,27 +109,30 @@ def over_grey(
     return picture
 
 
-def show_residual(
-    axes: "Axes", view: FaceView, rendered: Float[Tensor, "m 3"], title: str
-) -> "AxesImage":
-    """Relative difference of luminance, red where the render is too bright.
+def residual_codes(view: FaceView, rendered: Float[Tensor, "m 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Relative difference of luminance, red where the render is too bright."""
+    value = residual(view, rendered)[view.blocks].numpy()
+    codes = np.full((*view.image.shape[:2], 3), NOTHING, np.uint8)
+    rows, columns = view.places.numpy().T
+    codes[rows, columns] = red_or_blue(value)
+    return codes
+
+
+def residual(view: FaceView, rendered: Float[Tensor, "m 3"]) -> Float[Tensor, " m"]:
+    """(rendered - seen) / mean seen, of luminance.
 
     To be brighter than an over-exposed pixel is no difference.
     """
     seen, clipped = luminance(view.observation.pixels), view.observation.clipped
     value = (luminance(rendered) - seen) / seen.mean()
-    if clipped is not None:
-        value = torch.where(clipped, value.clamp(max=0), value)
-    canvas = np.full(tuple(view.image.shape[:2]), np.nan)
-    rows, columns = view.places.unbind(1)
-    canvas[rows.numpy(), columns.numpy()] = value[view.blocks].numpy()
-    shown = axes.imshow(canvas, cmap="RdBu_r", vmin=-RESIDUAL_LIMIT, vmax=RESIDUAL_LIMIT)
-    axes.set_facecolor("#eceff2")
-    axes.set_title(title)
-    axes.set_anchor("NW")
-    axes.set_xticks([])
-    axes.set_yticks([])
-    return shown
+    return value if clipped is None else torch.where(clipped, value.clamp(max=0), value)
+
+
+def red_or_blue(value: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
+    """From blue at -:data:`RESIDUAL_LIMIT` to red."""
+    place = np.linspace(-RESIDUAL_LIMIT, RESIDUAL_LIMIT, len(BLUE_TO_RED))
+    channels = [np.interp(value, place, colours) for colours in BLUE_TO_RED.T]
+    return np.stack(channels, -1).round().astype(np.uint8)
 
 
 def rgb(color: Float[Tensor, "3"]) -> str:
@@ -141,47 +140,58 @@ def rgb(color: Float[Tensor, "3"]) -> str:
 
 
 OVERLAY_SIDE_PX = 420
+WIDTH, MARGIN, GAP = 1920, 38.0, 21.0  # pixels of the page, at its sides, between pictures
+_ABREAST = 5
+_HEIGHT, _FACES_TOP, _FACES_HIGH, _LIGHT_TOP, _LIGHT_HIGH = 1224, 129.0, 396.0, 574.0, 595.0
 # Advice: two lines across the page, between its title and the pictures
 _CARE = TextWrapper(width=190, max_lines=2, placeholder=" ... (more in estimate.json)")
-_MARGINS = {"left": 0.02, "right": 0.98, "top": 0.895, "bottom": 0.045}
 
 
 def write_report(path: Path, result: PhotoEstimate, *, title: str) -> None:
-    """Write the report as a PNG of about 1900 x 1250 pixels."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
+    """Write the report of one face as a PNG of 1920 x 1224 pixels."""
+    draw_report(result, title).save(path)
 
+
+def draw_report(result: PhotoEstimate, title: str) -> Page:
+    """The photograph, the head, the face as seen and re-rendered, the light and the numbers."""
     estimate, view = result.estimate, result.view
     photo = result.photos[result.seen[0].photo]
     white = white_of(view.observation.pixels)
-    with rc_context(STYLE):
-        figure = Figure(figsize=(16, 10.2), dpi=120, facecolor="white")
-        figure.text(0.02, 0.962, f"Light of {title}", fontsize=17, fontweight="bold")
-        figure.text(
-            0.98, 0.965, light_in_words(estimate.light), ha="right", color=MUTED, fontsize=11.5
-        )
-        if estimate.advice:
-            care = _CARE.fill("Take care: " + "; ".join(estimate.advice))
-            figure.text(0.02, 0.952, care, color=ACCENT, fontsize=10.5, va="top", linespacing=1.1)
-        rows = figure.add_gridspec(2, 1, height_ratios=(1, 1.5), **_MARGINS, hspace=0.1)
-        seen = rows[0].subgridspec(1, 5, wspace=0.06)
-        axes = [figure.add_subplot(cell) for cell in seen]
-        show(axes[0], photo.encoded, "Photograph")
-        frame_head(axes[0], photo, result.face)
-        show(axes[1], _overlay(photo, result), "Head and landmarks")
-        image = view.image
-        rendered = estimate.faces[0].rendered
-        show(axes[2], tone_map(image, white=white), "Face as seen")
-        pasted = over_grey(view.image, view.places, rendered[view.blocks])
-        show(axes[3], tone_map(pasted, white=white), "Re-rendered in this light")
-        shown = show_residual(axes[4], view, rendered, "Render minus seen")
-        _residual_bar(figure, axes[4], shown)
-        _light(
-            figure,
-            rows[1].subgridspec(2, 3, width_ratios=(2.9, 0.93, 0.95), wspace=0.06, hspace=0.18),
-            result,
-        )
-        save(figure, path)
+    page = Page(WIDTH, _HEIGHT)
+    _head_line(page, result, title)
+    if estimate.advice:
+        care = _CARE.wrap("Take care: " + "; ".join(estimate.advice))
+        for number, line in enumerate(care):
+            page.write(MARGIN, 71.0 + 21 * number, line, color=ACCENT)
+    wide = (WIDTH - 2 * MARGIN - (_ABREAST - 1) * GAP) / _ABREAST
+    boxes = [(MARGIN + k * (wide + GAP), _FACES_TOP, wide, _FACES_HIGH) for k in range(_ABREAST)]
+    rendered = estimate.faces[0].rendered
+    shown = page.show(photo.encoded, "Photograph", box=boxes[0])
+    _frame_head(page, shown, photo, result.face)
+    page.show(_overlay(photo, result), "Head and landmarks", box=boxes[1], smooth=True)
+    page.show(tone_map(view.image, white=white), "Face as seen", box=boxes[2])
+    pasted = over_grey(view.image, view.places, rendered[view.blocks])
+    page.show(tone_map(pasted, white=white), "Re-rendered in this light", box=boxes[3])
+    shown = page.show(residual_codes(view, rendered), "Render minus seen", box=boxes[4])
+    _residual_bar(page, shown)
+    _light(page, result, top=_LIGHT_TOP, high=_LIGHT_HIGH, shares=(2.9, 0.93, 0.95))
+    return page
+
+
+def _head_line(page: Page, result: PhotoEstimate, title: str) -> None:
+    page.write(MARGIN, 47.0, f"Light of {title}", size=28.3, bold=True)
+    model = light_in_words(result.estimate.light)
+    page.write(WIDTH - MARGIN, 43.0, model, size=TITLE, color=MUTED, anchor="rs")
+
+
+def _frame_head(page: Page, shown: Panel, photo: Photo, face: DetectedFace) -> tuple[float, float]:
+    """Draw a frame around a head of the photograph shown; its upper left corner on the page."""
+    (left, top), (right, bottom) = (map(float, corner) for corner in head_window(photo, face))
+    corners = [
+        shown.at(x, y) for x, y in ((left, top), (right, top), (right, bottom), (left, bottom))
+    ]
+    page.line(corners, ACCENT, 2, closed=True)
+    return corners[0]
 
 
 def _overlay(photo: Photo, result: PhotoEstimate) -> UInt8[np.ndarray, "h w 3"]:
@@ -218,19 +228,25 @@ def _overlay(photo: Photo, result: PhotoEstimate) -> UInt8[np.ndarray, "h w 3"]:
     return canvas
 
 
-def _residual_bar(figure: "Figure", axes: "Axes", shown: "AxesImage") -> None:
-    inset = axes.inset_axes((0.1, 0.045, 0.8, 0.028))
-    bar = figure.colorbar(shown, cax=inset, orientation="horizontal")
+def _residual_bar(page: Page, shown: Panel) -> None:
+    """What the colours of the residual mean, at the foot of its picture."""
+    left, right = shown.left + 0.1 * shown.width, shown.left + 0.9 * shown.width
+    top, thick = shown.top + 0.925 * shown.height, 10
+    wide = round(right - left)
+    strip = red_or_blue(np.linspace(-RESIDUAL_LIMIT, RESIDUAL_LIMIT, wide))
+    x, y = round(left), round(top)
+    page.canvas[y : y + thick, x : x + wide] = strip
     percent = round(100 * RESIDUAL_LIMIT)
-    bar.set_ticks(
-        [-RESIDUAL_LIMIT, 0, RESIDUAL_LIMIT], labels=[f"−{percent} %", "0", f"+{percent} %"]
-    )
-    inset.xaxis.set_ticks_position("top")
-    inset.tick_params(labelsize=8.5, length=2, pad=1)
+    for share, told in ((0, f"−{percent} %"), (0.5, "0"), (1, f"+{percent} %")):
+        page.write(left + share * wide, top - 7, told, size=14.2, color=MUTED, anchor="ms")
 
 
-ABREAST = 4
-WIDTH, PHOTO_ROW, FACE_ROW, LIGHT_ROW = 16.0, 3.6, 1.8, 6.0  # inches
+ABREAST, PHOTO_HIGH, FACE_HIGH = (
+    4,
+    432.0,
+    216.0,
+)  # of a group: pictures in a row, pixels of its rows
+_TITLE_HIGH = 34.0  # pixels over a picture for its title
 
 
 def write_group_report(path: Path, result: PhotoEstimate, *, title: str) -> None:
@@ -238,116 +254,136 @@ def write_group_report(path: Path, result: PhotoEstimate, *, title: str) -> None
 
     Faces have the numbers of estimate.json and of the meshes' files.
     """
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
+    draw_group_report(result, title).save(path)
 
-    rows = (
-        PHOTO_ROW * math.ceil(len(result.photos) / ABREAST),
-        FACE_ROW * math.ceil(len(result.seen) / ABREAST),
-        LIGHT_ROW,
-    )
+
+def draw_group_report(result: PhotoEstimate, title: str) -> Page:
+    """All photographs, a row of pictures for each face, the light and the numbers."""
     notes = [f"Take care: {line}" for line in result.estimate.advice]
-    head = 0.75 + 0.22 * len(notes)
-    height = head + sum(rows)
-    with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height), dpi=120, facecolor="white")
-        top = 1 - 0.42 / height
-        figure.text(0.02, top, f"Light of {title}", fontsize=17, fontweight="bold")
-        light = light_in_words(result.estimate.light)
-        figure.text(0.98, top, light, ha="right", color=MUTED, fontsize=11.5)
-        for number, note in enumerate(notes, start=1):
-            at = top - 0.24 * number / height
-            figure.text(0.02, at, note, color=ACCENT, fontsize=9.5)
-        parts = figure.add_gridspec(4, 1, height_ratios=(head, *rows), hspace=0, top=1, bottom=0)
-        _photos(figure.add_subfigure(parts[1]), result)
-        _faces(figure.add_subfigure(parts[2]), result)
-        area = figure.add_subfigure(parts[3])
-        cells = area.add_gridspec(
-            2,
-            3,
-            width_ratios=(2.9, 0.93, 1.15),
-            left=0.02,
-            right=0.98,
-            top=0.93,
-            bottom=0.06,
-            wspace=0.06,
-            hspace=0.18,
-        )
-        _light(area, cells, result)
-        save(figure, path)
+    head = 90.0 + 27 * len(notes)
+    faces_top = head + PHOTO_HIGH * math.ceil(len(result.photos) / ABREAST)
+    light_top = faces_top + FACE_HIGH * math.ceil(len(result.seen) / ABREAST)
+    page = Page(WIDTH, round(light_top + _TITLE_HIGH + _LIGHT_HIGH) + 55)
+    _head_line(page, result, title)
+    for number, note in enumerate(notes, start=1):
+        page.write(MARGIN, 50.0 + 27 * number, note, size=SMALL, color=ACCENT)
+    _photos(page, result, head)
+    _faces(page, result, faces_top)
+    top = light_top + _TITLE_HIGH
+    _light(page, result, top=top, high=_LIGHT_HIGH, shares=(2.9, 0.93, 1.15))
+    return page
 
 
-def _photos(area: "SubFigure", result: PhotoEstimate) -> None:
+def _photos(page: Page, result: PhotoEstimate, top: float) -> None:
     """All photographs, with the numbers of the faces that were used."""
     photos = result.photos
-    for number, (photo, axes) in enumerate(
-        zip(photos, _cells(area, len(photos)), strict=True), start=1
-    ):
-        show(axes, photo.encoded, "Photograph" if len(photos) == 1 else f"Photograph {number}")
-    for number, seen in enumerate(result.seen, start=1):
-        axes, photo = area.axes[seen.photo], photos[seen.photo]
-        left, top = frame_head(axes, photo, seen.face)
-        axes.text(
-            left,
-            top,
-            str(number),
-            color="white",
-            fontsize=9,
-            fontweight="bold",
-            va="bottom",
-            bbox={"boxstyle": "square,pad=0.2", "facecolor": ACCENT, "edgecolor": "none"},
+    abreast = min(len(photos), ABREAST)
+    wide = (WIDTH - 2 * MARGIN - (abreast - 1) * GAP) / abreast
+    shown = [
+        page.show(
+            photo.encoded,
+            "Photograph" if len(photos) == 1 else f"Photograph {k + 1}",
+            box=(
+                MARGIN + k % ABREAST * (wide + GAP),
+                top + _TITLE_HIGH + k // ABREAST * PHOTO_HIGH,
+                wide,
+                PHOTO_HIGH - _TITLE_HIGH - GAP,
+            ),
         )
+        for k, photo in enumerate(photos)
+    ]
+    for number, seen in enumerate(result.seen, start=1):
+        x, y = _frame_head(page, shown[seen.photo], photos[seen.photo], seen.face)
+        page.label(x + 3, y - 11, str(number), side="left", size=15.0)
 
 
-def _cells(area: "SubFigure", count: int) -> "list[Axes]":
-    rows = math.ceil(count / ABREAST)
-    grid = area.add_gridspec(
-        rows,
-        min(count, ABREAST),
-        left=0.02,
-        right=0.98,
-        top=1 - 0.1 / rows,
-        bottom=0.03,
-        wspace=0.08,
-        hspace=0.16,
-    )
-    return [area.add_subplot(grid[k // ABREAST, k % ABREAST]) for k in range(count)]
-
-
-def _faces(area: "SubFigure", result: PhotoEstimate) -> None:
+def _faces(page: Page, result: PhotoEstimate, top: float) -> None:
     """Each face as seen, as re-rendered, and what lies between."""
     white: dict[int, float] = {}  # of a photograph: its brightest face must not burn out
     for seen in result.seen:
         level = white_of(seen.view.observation.pixels)
         white[seen.photo] = max(level, white.get(seen.photo, 0.0))
-    rows = math.ceil(len(result.seen) / ABREAST)
-    grid = area.add_gridspec(
-        rows, ABREAST, left=0.02, right=0.98, top=1 - 0.16 / rows, bottom=0.02, wspace=0.06
-    )
+    wide = (WIDTH - 2 * MARGIN - (ABREAST - 1) * 2 * GAP) / ABREAST
+    each = (wide - GAP) / 3
     for k, (seen, light) in enumerate(zip(result.seen, result.estimate.faces, strict=True)):
-        cell = grid[k // ABREAST, k % ABREAST].subgridspec(1, 3, wspace=0.06)
-        axes = [area.add_subplot(part) for part in cell]
+        left = MARGIN + k % ABREAST * (wide + 2 * GAP)
+        y, high = top + _TITLE_HIGH + k // ABREAST * FACE_HIGH, FACE_HIGH - _TITLE_HIGH - GAP
+        boxes = [(left + i * (each + GAP / 2), y, each, high) for i in range(3)]
         scale = white[seen.photo]
-        show(axes[0], tone_map(seen.view.image, white=scale), f"{k + 1} as seen")
+        page.show(tone_map(seen.view.image, white=scale), f"{k + 1} as seen", box=boxes[0])
         pasted = over_grey(seen.view.image, seen.view.places, light.rendered[seen.view.blocks])
-        show(axes[1], tone_map(pasted, white=scale), "re-rendered")
+        page.show(tone_map(pasted, white=scale), "re-rendered", box=boxes[1])
         off = f"off by {100 * light.residual:.0f} %"
-        show_residual(axes[2], seen.view, light.rendered, off)
+        page.show(residual_codes(seen.view, light.rendered), off, box=boxes[2])
 
 
-def _light(area: "Figure | SubFigure", cells: "GridSpecBase", result: PhotoEstimate) -> None:
-    """The light, things in it, and the numbers, in two rows of three cells."""
+def _light(
+    page: Page, result: PhotoEstimate, *, top: float, high: float, shares: tuple[float, ...]
+) -> None:
+    """The light, things in it, and the numbers, in columns so wide."""
     environment, posterior = result.probe, result.estimate.posterior
-    probe = area.add_subplot(cells[:, 0])
-    title = probe_title(posterior, result.estimate.verdict)
-    show_probe(probe, environment, title, main=result.estimate.sun_direction)
-    draw_region(probe, posterior, environment.layout[0])
+    gap = 35
+    unit = (WIDTH - 2 * MARGIN - (len(shares) - 1) * gap) / sum(shares)
+    starts = [MARGIN + unit * sum(shares[:k]) + gap * k for k in range(len(shares))]
+    shown = page.show(
+        tone_map(environment.radiance),
+        probe_title(posterior, result.estimate.verdict),
+        box=(starts[0], top, unit * shares[0], high),
+        smooth=True,
+    )
+    _mark_probe(page, shown, environment, result.estimate.sun_direction)
+    for line in region_lines(posterior, environment.layout[0]):
+        places = [shown.at(*place) for place in line.tolist()]
+        for color, width in (("black", 5), (REGION, 2)):
+            page.line(places, color, width)
+    each = (high - 2 * _TITLE_HIGH + 19) / 2
     diffuse, metal = relit(evaluation_scene(SCENE_HEIGHT, SCENE_GRID), environment)
-    show(area.add_subplot(cells[0, 1]), diffuse, "Diffuse objects in this light")
-    show(area.add_subplot(cells[1, 1]), metal, "Metal objects in this light")
+    for k, (name, picture) in enumerate((("Diffuse", diffuse), ("Metal", metal))):
+        box = (starts[1], top + k * (high - each), unit * shares[1], each)
+        page.show(picture, f"{name} objects in this light", box=box, smooth=True)
     rows = _numbers(result)
-    pitch = min(0.053, 1 / (len(rows) + 1))
-    write_numbers(area.add_subplot(cells[:, 2]), "In numbers", rows, pitch=pitch)
+    pitch = high * min(0.053, 1 / (len(rows) + 1))
+    page.title(starts[2], top, "In numbers")
+    for number, (name, value) in enumerate(rows, start=1):
+        y = top + pitch * number
+        page.write(starts[2], y, name, color=MUTED)
+        page.write(starts[2] + unit * shares[2], y, value, anchor="rs")
+
+
+def _mark_probe(
+    page: Page, shown: Panel, environment: EnvironmentMap, main: Float[Tensor, "3"]
+) -> None:
+    """Name the axes of a full lat-long map and ring its main light."""
+    height, width = environment.layout
+    foot = shown.top + shown.height + 24
+    for turn, word, anchor in (
+        (0.0, "behind", "ls"),
+        (0.25, "left", "ms"),
+        (0.5, "where the camera looks", "ms"),
+        (0.75, "right", "ms"),
+        (1.0, "behind", "rs"),
+    ):
+        page.write(
+            shown.left + turn * shown.width, foot, word, size=SMALL, color=MUTED, anchor=anchor
+        )
+    middle = round(shown.top + shown.height / 2)
+    dashes = np.arange(round(shown.left), round(shown.left + shown.width)) % 12 < 6
+    row = page.canvas[middle, round(shown.left) : round(shown.left) + len(dashes)]
+    row[dashes] = (0.3 * row[dashes] + 0.7 * 255).astype(np.uint8)
+    page.write(shown.left + 4, middle + 17.0, "horizon", size=15.0, color="white")
+    row, column = (float(value) for value in pixel_from_direction(main, height, width))
+    x, y = shown.at(column, row)
+    # a dark ring under the bright one shows on any sky
+    for color, thick in (("black", 5), (ACCENT, 3)):
+        page.ring(x, y, 14.0, color, thick)
+    on_right = column > 0.75 * width
+    page.label(
+        x - 22 if on_right else x + 22,
+        y + 25 if row < height / 4 else y - 18,
+        "brightest",
+        side="right" if on_right else "left",
+        size=16.7,
+    )
 
 
 # What the terms of the objective ask of an estimate: the higher, the less likely.

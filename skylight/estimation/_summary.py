@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from contourpy import contour_generator
 from jaxtyping import Float
 from torch import Tensor
 
@@ -187,11 +188,11 @@ def posterior_map(posterior: SunPosterior) -> EnvironmentMap:
     return EnvironmentMap(radiance=grey[..., None].repeat(1, 1, 3))
 
 
-def draw_region(axes: "Axes", posterior: SunPosterior, height: int) -> None:
-    """The region's contour on a full lat-long picture of ``height`` rows; none where no sun is
-    seen."""
+def region_lines(posterior: SunPosterior, height: int) -> list[Float[np.ndarray, "k 2"]]:
+    """The region's contour, (column, row) on a full lat-long picture of ``height`` rows; none
+    where no sun is seen."""
     if not posterior.is_seen:
-        return
+        return []
     density = posterior_map(posterior).radiance[..., 0].numpy()
     level = edge_density(posterior)
     # one column round the seam on either side, one row of nothing above the zenith's
@@ -200,9 +201,15 @@ def draw_region(axes: "Axes", posterior: SunPosterior, height: int) -> None:
         (np.arange(-1, end) + 0.5) * height / len(density) - 0.5
         for end in (len(density), density.shape[1] + 1)
     )
-    limits = axes.axis()  # a contour would widen them
-    for color, width in (("black", 3.4), (REGION, 1.8)):
-        axes.contour(columns, rows, wrapped, levels=[level], colors=[color], linewidths=[width])
+    return [np.asarray(line) for line in contour_generator(columns, rows, wrapped).lines(level)]
+
+
+def draw_region(axes: "Axes", posterior: SunPosterior, height: int) -> None:
+    """The region's contour on matplotlib's picture of a map of ``height`` rows."""
+    limits = axes.axis()  # lines would widen them
+    for line in region_lines(posterior, height):
+        for color, width in (("black", 3.4), (REGION, 1.8)):
+            axes.plot(*line.T, color=color, linewidth=width)
     axes.axis(limits)
 
 

@@ -210,14 +210,20 @@ def _person(
 def _silhouette(
     vertices: Float[ndarray, "n 3"], faces: Int[ndarray, "f 3"], camera: Camera
 ) -> Bool[ndarray, "p q"]:
-    """Where the triangles in front of the camera are seen."""
+    """Where the triangles in front of the camera are seen.
+
+    Most of a head's are as small as a pixel: those show what their corners do.
+    """
     shown = faces[(vertices[faces][..., 2] < -0.01).all(1)]
     drawn = np.zeros((camera.height, camera.width), np.uint8)
     used, index = np.unique(shown, return_inverse=True)
     if len(used):
         places = camera.project(torch.from_numpy(vertices[used])).numpy() - 0.5
         corners = np.clip(places, -1e4, 1e4).round().astype(np.int32)[index.reshape(-1, 3)]
-        for triangle in corners:
+        column, row = corners.reshape(-1, 2).T
+        inside = (row >= 0) & (row < camera.height) & (column >= 0) & (column < camera.width)
+        drawn[row[inside], column[inside]] = 1
+        for triangle in corners[(np.ptp(corners, 1) > 1).any(1)]:
             cv2.fillConvexPoly(drawn, triangle, 1)
     return drawn > 0
 

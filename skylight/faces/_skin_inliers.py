@@ -57,21 +57,23 @@ def inlier_probability(seen: Observation) -> Float[Tensor, " m"]:
     exact = torch.ones(len(diffuse), dtype=torch.bool) if seen.clipped is None else ~seen.clipped
     pixels = seen.pixels.double()
     brightness = luminance(pixels)
+    single = brightness.float()
     floor = FLOOR_SHARE * float(brightness[exact].quantile(0.9))
     bright, logs = (brightness + floor).log(), (pixels + floor).log()
     ratios = logs[:, [0, 2]] - logs[:, 1:2]
     towards = _seen_from(seen.transport)
     grid = _PixelGrid.of(seen.places)
     skin = seen.weights.double() * exact
-    light = torch.ones(diffuse.shape[1], dtype=torch.float64)
-    light *= brightness[exact].mean() / (diffuse @ light)[exact].mean()
+    light = torch.ones(diffuse.shape[1])
+    light *= single[exact].mean() / (diffuse @ light)[exact].mean()
     inlier, share, specular_scale = exact.double(), 0.2, 2 * LEAST_SPECULAR
     for _ in range(ITERATIONS):
         weights = inlier * skin
         light, specular_scale = _light(
-            diffuse, specular, brightness, weights, (light, specular_scale), floor
+            diffuse, specular, single, weights.float(), (light, specular_scale), floor
         )
-        diffuse_shading, shine = diffuse @ light, specular_scale * (specular @ light)
+        diffuse_shading = (diffuse @ light).double()
+        shine = specular_scale * (specular @ light).double()
         shading = (diffuse_shading + shine + floor).log()
         causes = torch.stack(
             [shading, shine / (diffuse_shading + shine + floor), *towards.unbind(1)], 1
@@ -89,7 +91,7 @@ def _coarse(matrix: Float[Tensor, "m n"]) -> Float[Tensor, "m k"]:
     if rows > LIGHT_ROWS:
         maps = matrix.reshape(len(matrix), 1, rows, 2 * rows)
         matrix = adaptive_avg_pool2d(maps, (LIGHT_ROWS, 2 * LIGHT_ROWS)).flatten(1)
-    return matrix.double()
+    return matrix
 
 
 def _light(
@@ -102,17 +104,17 @@ def _light(
 ) -> tuple[Float[Tensor, " k"], float]:
     """(non-negative light, specular scale) of least squared relative errors.
 
-    By multiplicative updates (Lee & Seung 2001), the two by turns; those of the light, in
-    single precision: nothing is subtracted in them.
+    By multiplicative updates (Lee & Seung 2001), the two by turns; in single precision: nothing is
+    subtracted in them. Those of the light take a matrix of the normal equations, which a core's
+    cache holds, not one with a row for each pixel.
     """
     light, specular_scale = start
-    basis = diffuse + specular_scale * specular
+    basis = torch.add(diffuse, specular, alpha=specular_scale)
     relative = weights / (basis @ light + floor) ** 2
     aim = basis.T @ (relative * brightness)
-    single, factor, aim, found = (x.float() for x in (basis, relative, aim, light))
+    normal = basis.T @ (relative[:, None] * basis)
     for _ in range(LIGHT_UPDATES):
-        found = found * aim / (single.T @ (factor * (single @ found))).clamp(min=1e-30)
-    light = found.double()
+        light = light * aim / (normal @ light).clamp(min=1e-30)
     shine = relative * (specular @ light)
     grown = float(shine @ brightness / (shine @ (basis @ light)).clamp(min=1e-30))
     return light, min(max(specular_scale * grown**2, LEAST_SPECULAR), MOST_SPECULAR)
@@ -120,9 +122,9 @@ def _light(
 
 def _seen_from(transport: TransportMatrix) -> Float[Tensor, "m 3"]:
     """Where each pixel's light can come from, in the mean: its normal if nothing is in the way."""
-    moment = transport.matrix.double() @ transport.grid.directions.double()
+    moment = transport.matrix @ transport.grid.directions.float()
     # 2/3: the mean of a hemisphere, weighted by the cosine
-    return 1.5 * moment / transport.matrix.double().sum(1, keepdim=True).clamp(min=1e-6)
+    return (1.5 * moment / transport.matrix.sum(1, keepdim=True).clamp(min=1e-6)).double()
 
 
 def _tint(

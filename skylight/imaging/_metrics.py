@@ -15,7 +15,6 @@ import math
 
 import torch
 from jaxtyping import Bool, Float
-from kornia.metrics import ssim as ssim_map
 from torch import Tensor
 
 from skylight.errors import InputError
@@ -63,6 +62,8 @@ def ssim(
     within the mask, clamped to [0, 1] and sRGB-encoded (data range 1); outside the mask both are
     black. Gaussian window of 11 pixels, sigma 1.5, K1 = 0.01, K2 = 0.03 (Wang et al. 2004).
     """
+    from kornia.metrics import ssim as ssim_map  # slow to import
+
     if min(true.shape[:2]) < SSIM_WINDOW:
         raise InputError(f"SSIM needs {SSIM_WINDOW} pixels a side, got {tuple(true.shape[:2])}")
     mask = torch.ones(true.shape[:2], dtype=torch.bool) if mask is None else mask

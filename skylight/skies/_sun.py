@@ -19,7 +19,6 @@ from datetime import UTC, date, datetime, time, timedelta
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
-from scipy import ndimage
 from torch import Tensor
 
 from skylight.skies._solar_position import sun_azimuth_zenith
@@ -107,6 +106,8 @@ def plateau_size(pixels: Float[Tensor, "h w 3"], *, wraps: bool) -> int:
     ``wraps``: the left and right borders touch, as in lat-long maps. 0 where no pixel has all
     channels at their largest values, and where the plateau is a smooth sky's top.
     """
+    from scipy import ndimage  # slow to import, and estimates do without
+
     full = (pixels >= pixels.amax((0, 1)) * (1 - _EQUAL)).all(-1).numpy()
     if not full.any():
         return 0

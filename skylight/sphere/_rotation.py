@@ -17,7 +17,6 @@ from typing import TypeVar
 import numpy as np
 import torch
 from jaxtyping import Float
-from kornia.geometry.conversions import axis_angle_to_rotation_matrix, rotation_matrix_to_axis_angle
 from torch import Tensor
 
 from skylight._modes import constant
@@ -242,6 +241,8 @@ class RigidTransform:
 
         These are OpenCV's ``rvec`` and ``tvec``.
         """
+        from kornia.geometry.conversions import axis_angle_to_rotation_matrix  # slow to import
+
         turn, translation = vector.split(3, dim=-1)
         rotation = axis_angle_to_rotation_matrix(turn.reshape(-1, 3))
         return RigidTransform(rotation=rotation.reshape(*turn.shape, 3), translation=translation)
@@ -249,6 +250,8 @@ class RigidTransform:
     @property
     def rotation_vector(self) -> Float[Tensor, "*batch 3"]:
         """log R: the axis times the angle, 0 to pi rad."""
+        from kornia.geometry.conversions import rotation_matrix_to_axis_angle  # slow to import
+
         found = rotation_matrix_to_axis_angle(self.rotation.reshape(-1, 3, 3))
         return found.reshape(self.translation.shape)
 

@@ -302,7 +302,7 @@ def specular_transport(
     for start in range(0, len(normals), block):
         rows = slice(start, start + block)
         lobe = specular_lobe(normals[rows].float(), views[rows].float(), light, specular)
-        out[rows] = math.pi * lobe * transport.matrix[rows]
+        torch.mul(lobe.mul_(math.pi), transport.matrix[rows], out=out[rows])
     return TransportMatrix(matrix=out, grid=transport.grid)
 
 
