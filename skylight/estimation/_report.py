@@ -7,6 +7,7 @@ light and the numbers; that of several faces a row for each.
 import json
 import math
 import re
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from textwrap import TextWrapper
 
@@ -31,7 +32,6 @@ from skylight.estimation._summary import (
     REGION,
     PhotoEstimate,
     describe,
-    describe_lights,
     has_ground,
     main_light,
     posterior_map,
@@ -139,7 +139,7 @@ def rgb(color: Float[Tensor, "3"]) -> str:
     return "  ".join(f"{float(value):.2f}" for value in color)
 
 
-OVERLAY_SIDE_PX = 420
+OVERLAY_SIDE_PX = 352  # as it is shown
 WIDTH, MARGIN, GAP = 1920, 38.0, 21.0  # pixels of the page, at its sides, between pictures
 _ABREAST = 5
 _HEIGHT, _FACES_TOP, _FACES_HIGH, _LIGHT_TOP, _LIGHT_HIGH = 1224, 129.0, 396.0, 574.0, 595.0
@@ -453,7 +453,17 @@ def write_results(folder: Path, result: PhotoEstimate, *, keep_place: bool = Fal
     a photograph that is a file, person.safetensors is what portraits are relit by. Time,
     place and heading are private, and stand in estimate.json only with ``keep_place``.
     """
-    lights = json.dumps(describe_lights(result.estimate))
+    first, *more = result.names
+    title = Path(first).name + (f" and {len(more)} more" if more else "")
+    write = write_report if len(result.seen) == 1 else write_group_report
+    with ThreadPoolExecutor(1) as beside:  # what computes and packs lets go of Python's lock
+        others = beside.submit(_write_light_and_heads, folder, result, keep_place=keep_place)
+        write(folder / "report.png", result, title=title)
+        others.result()
+
+
+def _write_light_and_heads(folder: Path, result: PhotoEstimate, *, keep_place: bool) -> None:
+    lights = json.dumps(result.lights)
     write_probe(folder, result.probe, lights=lights, exposure=result.camera_exposure)
     write_environment_map(folder / "posterior.exr", posterior_map(result.estimate.posterior))
     write_json(folder / "estimate.json", describe(result, keep_place=keep_place))
@@ -461,12 +471,6 @@ def write_results(folder: Path, result: PhotoEstimate, *, keep_place: bool = Fal
         write_mesh(folder / name, seen.fit)
     if (face := KeptFace.of(result)).file is not None:
         write_face(folder, face)
-    first, *more = result.names
-    title = Path(first).name + (f" and {len(more)} more" if more else "")
-    if len(result.seen) == 1:
-        write_report(folder / "report.png", result, title=title)
-    else:
-        write_group_report(folder / "report.png", result, title=title)
 
 
 def mesh_names(result: PhotoEstimate) -> list[str]:

@@ -94,6 +94,11 @@ class PhotoEstimate:
             return self.estimate.environment
         return detailed(self.estimate, self.view.behind, self.view.observation.grey, self.detail)
 
+    @cached_property
+    def lights(self) -> list[dict[str, object]]:
+        """What estimate.json and probe.exr's header say of the sun or the lamps."""
+        return describe_lights(self.estimate)
+
     @property
     def camera_exposure(self) -> CameraExposure | None:
         """That of the photograph whose units the map has, where its data tell."""
@@ -238,7 +243,7 @@ def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
         "kinds": estimate.kinds,
         "sun": named_angles(estimate.sun_direction),
         "lamps": describe_lamps(estimate.lamps),
-        "lights": describe_lights(estimate),
+        "lights": result.lights,
         "detail": result.detail,
         "verdict": describe_verdict(estimate.verdict),
         "posterior": describe_posterior(estimate.posterior),

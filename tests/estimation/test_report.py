@@ -216,7 +216,7 @@ def test_the_file_is_the_page_with_its_words(result: PhotoEstimate, tmp_path: Pa
         codes = np.asarray(shown)
     written = (codes != page.canvas).any(2)
     words = said(page, "Light of someone")
-    rows, columns = np.nonzero(written[:60, :900])
+    rows, columns = np.nonzero(written[:52, :900])
     assert rows.min() > words.y - words.size
     assert columns.min() >= words.x - 1
     assert 100 < columns.max() - words.x < font(words.size, bold=True).getlength(words.text) + 1

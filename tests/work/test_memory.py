@@ -63,7 +63,7 @@ def test_a_command_searches_seldom_and_leaves_what_there_is_at_its_end() -> None
     told = subprocess.run(
         [sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True
     )
-    assert told.stdout.split() == ["3", "20000", "True"]
+    assert told.stdout.split() == ["3", "100000", "True"]
 
 
 def test_cycles_are_still_found() -> None:
@@ -73,9 +73,9 @@ def test_cycles_are_still_found() -> None:
     try:
         collect_seldom()
         gone = weakref.ref(_Own())
-        kept = [[] for _ in range(30_000)]
+        kept = [[] for _ in range(120_000)]
         assert gone() is None
-        assert len(kept) == 30_000
+        assert len(kept) == 120_000
     finally:
         gc.set_threshold(*before)
 
