@@ -101,7 +101,9 @@ def test_a_prior_that_offers_its_curvature_is_taken_at_its_word():
     torch.testing.assert_close(slope, whole)
     lights = objective.model.parameter_count
     rest = slice(lights, None)
-    torch.testing.assert_close(hessian[:, rest, rest], expected[:, rest, rest])
+    torch.testing.assert_close(
+        hessian[:, rest, rest], expected[:, rest, rest], rtol=1e-3, atol=2e-3
+    )
     assert float(hessian[:, :lights, rest].abs().max()) == 0
     at = objective.model.azimuth_index
     assert float(hessian[:, at].abs().max()) == float(hessian[:, :, at].abs().max()) == 0
