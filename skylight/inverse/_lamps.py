@@ -22,7 +22,7 @@ from skylight.inverse._faces import Level, LitFaces, ObjectiveWeights, ScannedFa
 from skylight.inverse._lamp_relighting import lamps_radiance
 from skylight.inverse._lamp_sets import Pursuit
 from skylight.inverse._objective import LightObjective
-from skylight.inverse._posterior import credible, face_evidence, sun_evidence
+from skylight.inverse._posterior import LIKELIEST, credible, face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
 from skylight.inverse._result import MAP_ROWS, SUN_SPREAD_RAD, Estimate, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT, FaceScan, SunScan, scan_faces
@@ -44,7 +44,7 @@ NARROW_RAD = math.radians(4.0)  # of a lamp: faces cannot tell it from a sun
 
 
 MOST_LAMPS = 3
-SCANNED_PIXELS = 1  # the scan reads pixels of half the resolution: where a light is, all tell alike
+EVIDENCE_PIXELS = 1  # the posterior reads pixels of half the resolution; starts need all
 FAR = 30.0  # nats behind the likeliest: a group of starts that is not followed further
 # Nats of evidence that one more lamp is to bring. What heads are wrong by is not as independent as
 # the objective takes it to be, and lights a face as another lamp would: where the pictures of 15
@@ -286,9 +286,11 @@ class LampsProblem(LightProblem):
         preferred beforehand.
         """
         options, most = self.options, self.family.most
-        observed = [face.scanned.coarser(SCANNED_PIXELS) for face in self.faces]
+        observed = [face.scanned for face in self.faces]
         every = scan_faces(observed, sphere=True)
-        evidence = sun_evidence(face_evidence(observed, every, sphere=True))
+        coarse = [one.coarser(EVIDENCE_PIXELS) for one in observed]
+        scans = scan_faces(coarse, sphere=True, before=every, likeliest=LIKELIEST)
+        evidence = sun_evidence(face_evidence(coarse, scans, sphere=True))
         pursuit = Pursuit(observed)
         clock = credible(evidence, self.faces.sun_prior)
         if clock is None and self.family.guide is not None:

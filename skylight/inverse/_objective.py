@@ -434,8 +434,9 @@ class LightObjective:
             add(without_azimuth(model, light), w.light_prior * first, w.light_prior * second)
         left = self.priors(free, problem, without=without).keys()
         if left:
-            of_light = self.below is not None or left - {"ground_prior"}
-            bent = torch.cat([light, ground]) if of_light else ground
+            if self.below is None and "light_prior" not in left:
+                light = light[self._of_suns()] if "sun_prior" in left else light[:0]
+            bent = torch.cat([light, ground])
 
             def others(x: Tensor, rows: Tensor) -> Tensor:
                 whole = free[rows].index_copy(1, bent, x)
@@ -445,6 +446,14 @@ class LightObjective:
             every = torch.arange(len(free), device=free.device)
             add(bent, *convex_shape(others, free[:, bent], every))
         return slope, hessian
+
+    def _of_suns(self) -> slice | list[int]:
+        """Which of the light's unknowns say where the sun stands."""
+        if not isinstance(self.model, LampedLight):
+            return slice(None)
+        at, turn = self.model.ambient_parameters, self.model.azimuth_index
+        lamps = range(at, self.model.parameter_count)
+        return [*([] if turn is None else [turn]), *lamps]
 
     def _normal_precisions(self) -> Float[Tensor, " q"]:
         """Those of the :data:`NORMAL_PRIORS`, all about 0; of other unknowns 0."""
