@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Generic, TypeVar
 
 import torch
@@ -21,7 +22,7 @@ from skylight.inverse._faces import Level, LitFaces, ObjectiveWeights, ScannedFa
 from skylight.inverse._lamp_relighting import lamps_radiance
 from skylight.inverse._lamp_sets import Pursuit
 from skylight.inverse._objective import LightObjective
-from skylight.inverse._posterior import credible, face_evidence, sun_evidence
+from skylight.inverse._posterior import LIKELIEST, credible, face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
 from skylight.inverse._result import MAP_ROWS, SUN_SPREAD_RAD, Estimate, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT, FaceScan, SunScan, scan_faces
@@ -43,6 +44,8 @@ NARROW_RAD = math.radians(4.0)  # of a lamp: faces cannot tell it from a sun
 
 
 MOST_LAMPS = 3
+EVIDENCE_PIXELS = 1  # the posterior reads pixels of half the resolution; starts need all
+FAR = 30.0  # nats behind the likeliest: a group of starts that is not followed further
 # Nats of evidence that one more lamp is to bring. What heads are wrong by is not as independent as
 # the objective takes it to be, and lights a face as another lamp would: where the pictures of 15
 # rendered faces under one sun were multiplied by smooth fields of 15 %, which makes residuals those
@@ -217,15 +220,16 @@ class LampsProblem(LightProblem):
         outdoors: LampFamily | None = None,
     ) -> None:
         self.family, self.exactly, self.towards = family, exactly, towards
-        self.outdoors = outdoors
+        self.outdoors, self._anywhere = outdoors, (family, sun_prior)
         self.albedo_prior, self.albedo_modes = albedo_prior, albedo_modes
         self.options = options or LampsOptions()
         self.faces, self.ground = LitFaces(sun_prior), ground
 
     def another(self) -> "LampsProblem":
-        """An empty problem with the same family, priors and options."""
+        """An empty problem with the same family, priors and options, wherever this one's was."""
         problem = copy(self)
-        problem.faces = LitFaces(self.faces.sun_prior)
+        problem.family, sun_prior = self._anywhere
+        problem.faces = LitFaces(sun_prior)
         return problem
 
     def with_lamps(self, count: int, family: LampFamily | None = None) -> SkySolver:
@@ -262,13 +266,16 @@ class LampsProblem(LightProblem):
         Each number of lamps starts from the sets that explain the face best (:class:`Pursuit`), one
         lamp also from the directions of the scan over the sphere. Numbers compete on a coarse level
         by :func:`~skylight.inverse._solution.log_evidence`: one more is to bring
-        :data:`LEAST_GAIN`.
+        :data:`LEAST_GAIN`. Groups of starts that are :data:`FAR` behind after the coarsest level
+        are not followed.
 
         Where the family has a guide, and no clock tells, that is searched first. Smooth light of
         many latents takes over a part of a lamp, which pulls that 5 to 30 degrees aside on real
         faces, at no higher residuals; even light cannot. What the guide tells counts as a clock
         does, but not in the posterior, whose scan is of the same pixels: a number of lamps with one
         there gains up to 5 nats of the least gain, so one lamp that the guide has needs 3 more.
+        Beside smooth light a lamp brings less than beside even light, so no more are tried than
+        brought the guide what they are to bring here.
 
         What clock and place tell of the sun counts unless the faces contradict it, as of skies. One
         lamp is looked for where they say too, they choose between lights that explain the faces,
@@ -278,15 +285,25 @@ class LampsProblem(LightProblem):
         the mean over all directions for any number of lamps, and 1 for none, no number is
         preferred beforehand.
         """
-        options, observed = self.options, [face.scanned for face in self.faces]
+        options, most = self.options, self.family.most
+        observed = [face.scanned for face in self.faces]
         every = scan_faces(observed, sphere=True)
-        evidence = sun_evidence(face_evidence(observed, every, sphere=True))
+        coarse = [one.coarser(EVIDENCE_PIXELS) for one in observed]
+        scans = scan_faces(coarse, sphere=True, before=every, likeliest=LIKELIEST)
+        evidence = sun_evidence(face_evidence(coarse, scans, sphere=True))
         pursuit = Pursuit(observed)
         clock = credible(evidence, self.faces.sun_prior)
         if clock is None and self.family.guide is not None:
-            clock = self._told_by(self.family.guide, pursuit, every)
+            clock, most = self._told_by(self.family.guide, pursuit, every)
         scan = SunScan.of(every, candidates=options.scan_candidates, sun_prior=clock)
-        best = self._searched(self.family, pursuit, scan, clock)
+
+        def fitted(count: int) -> Fitted[Iterates]:
+            return self._fitted(self.family, count, pursuit, scan, clock)
+
+        if self.exactly is not None:
+            best = fitted(self.exactly)
+        else:
+            best = as_many_as_pay(fitted, self.family.least_gain, self.family.patience, most)
         solver, points = self.with_lamps(best.count), best.point
         for number, stage in enumerate(options.fine, start=1):
             objective = self._objective(solver, stage, clock)
@@ -322,63 +339,82 @@ class LampsProblem(LightProblem):
 
     def _told_by(
         self, guide: LampFamily, pursuit: Pursuit, every: Sequence[FaceScan]
-    ) -> SunPrior | None:
-        """Where the main lamp is in the light of the guide; None where that has no lamp."""
+    ) -> tuple[SunPrior | None, int]:
+        """(where the main lamp is in the light of the guide, how many lamps are worth a try).
+
+        None where that has no lamp.
+        """
         scan = SunScan.of(every, candidates=self.options.scan_candidates)
-        best = self._searched(guide, pursuit, scan, None)
+        nats: list[float] = []
+
+        def fitted(count: int) -> Fitted[Iterates]:
+            found = self._fitted(guide, count, pursuit, scan, None)
+            nats.append(found.log_evidence)
+            return found
+
+        best = as_many_as_pay(fitted, guide.least_gain, guide.patience, guide.most)
+        gains = [more - fewer for fewer, more in pairwise(nats)]
+        tried = [n for n, gain in enumerate(gains, 1) if gain >= self.family.least_gain]
+        most = min(max(tried, default=0), self.family.most)
         if not best.count:
-            return None
+            return None, most
         light = guide.light(best.count)
         free = best.point.free[best.point.scores.argmin()]
         found = light.lamps(light.from_free(free[: light.parameter_count].cpu()))
-        return found_light(found.directions[int(found.energies.argmax())].double())
+        return found_light(found.directions[int(found.energies.argmax())].double()), most
 
-    def _searched(
-        self, family: LampFamily, pursuit: Pursuit, scan: SunScan, clock: SunPrior | None
+    def _fitted(
+        self,
+        family: LampFamily,
+        count: int,
+        pursuit: Pursuit,
+        scan: SunScan,
+        clock: SunPrior | None,
     ) -> Fitted[Iterates]:
-        """As many lamps as pay, or exactly so many of the problem's own family, coarsely."""
-        options = self.options
-
-        def fitted(count: int) -> Fitted[Iterates]:
-            solver = self.with_lamps(count, family)
-            objective = self._objective(solver, options.coarse[0], clock)
-            model = objective.model
-            assert isinstance(model, LampedLight)
-            towards = pursuit.starts(model, options.sets)
-            if count == 1:
-                tried = [scan.candidates, *([] if self.towards is None else [self.towards])]
-                scanned = [model.starts_towards(each).to(towards) for each in tried]
-                towards = torch.cat([towards, *scanned])
-            turns = model.azimuth_index is not None  # to where the sets are, as starts are not
-            groups = [
-                Iterates.starting(
-                    *choose_starts(objective, some, self.albedo_modes, centroids=not turns)
-                )
-                for some in family.apart(towards)
+        """The best light of so many lamps, on the coarse levels."""
+        solver, weights = self.with_lamps(count, family), self.options.weights
+        stages = [(stage, self._objective(solver, stage)) for stage in self.options.coarse]
+        objective = stages[0][1]
+        model = objective.model
+        assert isinstance(model, LampedLight)
+        towards = pursuit.starts(model, self.options.sets)
+        if count == 1:
+            tried = [scan.candidates, *([] if self.towards is None else [self.towards])]
+            scanned = [model.starts_towards(each).to(towards) for each in tried]
+            towards = torch.cat([towards, *scanned])
+        turns = model.azimuth_index is not None  # to where the sets are, as starts are not
+        groups = [
+            Iterates.starting(
+                *choose_starts(objective, some, self.albedo_modes, centroids=not turns)
+            )
+            for some in family.apart(towards)
+        ]
+        told = [_sun_log_density(objective, one, clock) for one in groups]
+        groups = [
+            replace(one, scores=one.scores - weights.sun_prior * t)
+            for one, t in zip(groups, told, strict=True)
+        ]
+        for stage, objective in stages:
+            ends = descend(objective, groups, stage, self.options.tolerance)
+            told = [_sun_log_density(objective, one, clock) for one in ends]
+            costs = [one.scores - t for one, t in zip(ends, told, strict=True)]
+            best = [cost.argmin() for cost in costs]
+            drawn = [
+                replace(one, scores=one.scores - weights.sun_prior * t)
+                for one, t in zip(ends, told, strict=True)
             ]
-            for stage in options.coarse:
-                objective = self._objective(solver, stage)
-                ends = descend(objective, groups, stage, options.tolerance)
-                told = [_sun_log_density(objective, one, clock) for one in ends]
-                best = [(one.scores - t).argmin() for one, t in zip(ends, told, strict=True)]
-                drawn = [
-                    replace(one, scores=one.scores - options.weights.sun_prior * t)
-                    for one, t in zip(ends, told, strict=True)
-                ]
-                # what the evidence is that of goes on too
-                groups = [
-                    replace(one, scores=one.scores.index_fill(0, at, one.scores.min()))
-                    for one, at in zip(drawn, best, strict=True)
-                ]
-            minima = [one.free[at] for one, at in zip(drawn, best, strict=True)]
-            nats = log_evidence(objective, torch.stack(minima))
-            nats = nats + torch.stack([t[at] for t, at in zip(told, best, strict=True)])
-            likeliest = int(nats.argmax())
-            return Fitted(count=count, point=drawn[likeliest], log_evidence=float(nats[likeliest]))
-
-        if self.exactly is not None and family is self.family:
-            return fitted(self.exactly)
-        return as_many_as_pay(fitted, family.least_gain, family.patience, family.most)
+            least = min(float(cost.min()) for cost in costs)
+            # what the evidence is that of goes on too
+            groups = [
+                replace(one, scores=one.scores.index_fill(0, at, one.scores.min()))
+                for one, at, cost in zip(drawn, best, costs, strict=True)
+                if float(cost.min()) < least + FAR
+            ]
+        minima = [one.free[at] for one, at in zip(drawn, best, strict=True)]
+        nats = log_evidence(objective, torch.stack(minima))
+        nats = nats + torch.stack([t[at] for t, at in zip(told, best, strict=True)])
+        likeliest = int(nats.argmax())
+        return Fitted(count=count, point=drawn[likeliest], log_evidence=float(nats[likeliest]))
 
     def _main_light(
         self, environment: EnvironmentMap, lamps: Sequence[Lamp]

@@ -13,7 +13,7 @@ from torch import Tensor
 from skylight.inverse._gauss_newton import Prior, charbonnier
 
 _SWEEPS = 3  # of coordinate descent, after which few pivots are left
-_PIVOTS = 12  # of all problems together; what is left then is solved one by one
+_PIVOTS = 4  # of all problems together; what is left then is solved one by one
 
 
 def nnls(
@@ -34,7 +34,7 @@ def nnls(
     makes it a little indefinite, that is 1e-6 of the largest of the diagonal, which therefore
     should be of one order. A slope of less than 1e-9 of the largest ``|r|`` counts as 0.
     Unknowns whose row and right side are zero are 0. Computed in double precision. Where columns
-    are nearly dependent, exchanges may cycle: problems that are left after 12 are solved by an
+    are nearly dependent, exchanges may cycle: problems that are left after 4 are solved by an
     active set method, one by one.
     """
     whole, wanted = gram.double(), right.double()

@@ -5,7 +5,7 @@ shape (as many faces in the same photographs, all with specular reflection or no
 objective, so that points of all of them are evaluated as one batch.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -30,7 +30,7 @@ from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import CurvedPrior, LightModel, Prior, without_azimuth
 from skylight.models._ground import GroundBelow, KnownGround, LambertianGround, ground_prior
 from skylight.models._lobes import LampedLight
-from skylight.models._prior import GaussianMixture, convex_shape
+from skylight.models._prior import GaussianMixture, convex, convex_shape
 from skylight.transport._reflection import shade_scenes
 
 # A free parameter of 1 is so many standard deviations of a turn: without, a turn's slope is so much
@@ -365,21 +365,28 @@ class LightObjective:
     ) -> dict[str, Float[Tensor, " b"]]:
         """All parts but the data and the background, and those ``without`` which."""
         parts, w = self.unpack(free), self.weights
-        light = without_azimuth(self.model, free[:, : self.model.parameter_count])
-        skin = self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
-        sun = None if "sun_prior" in without else self.sun_nll(parts.light, problem)
-        every = {
-            **({} if "light_prior" in without else self._light_nll(light)),
-            "albedo_prior": -w.albedo_prior * skin.unflatten(0, (-1, len(self.faces))).sum(1),
-            **self._ground_nll(parts),
-            "gloss_prior": (0.5 * (parts.specular_scale.log() / SPECULAR_SPREAD) ** 2).sum(1),
-            "white_balance_prior": self._white_balance_nll(parts),
-            "edit_prior": self._edit_nll(parts),
-            "pigment_prior": 0.5 * (parts.pigments / self.pigment_spreads).square().sum((1, 2, 3)),
-            "normal_prior": 0.5 * parts.turns.square().sum((1, 2)),
-            **({} if sun is None else {"sun_prior": sun}),
+
+        def albedo() -> Tensor:
+            nll = -self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
+            return w.albedo_prior * nll.unflatten(0, (-1, len(self.faces))).sum(1)
+
+        every: dict[str, Callable[[], Tensor | None]] = {
+            "light_prior": lambda: self._light_nll(free[:, : self.model.parameter_count]),
+            "albedo_prior": albedo,
+            "ground_prior": lambda: self._ground_nll(parts),
+            "gloss_prior": lambda: (
+                0.5 * (parts.specular_scale.log() / SPECULAR_SPREAD).square().sum(1)
+            ),
+            "white_balance_prior": lambda: self._white_balance_nll(parts),
+            "edit_prior": lambda: self._edit_nll(parts),
+            "pigment_prior": lambda: (
+                0.5 * (parts.pigments / self.pigment_spreads).square().sum((1, 2, 3))
+            ),
+            "normal_prior": lambda: 0.5 * parts.turns.square().sum((1, 2)),
+            "sun_prior": lambda: self.sun_nll(parts.light, problem),
         }
-        return {name: nll for name, nll in every.items() if name not in without}
+        terms = {name: nll() for name, nll in every.items() if name not in without}
+        return {name: nll for name, nll in terms.items() if nll is not None}
 
     def prior(
         self,
@@ -400,37 +407,53 @@ class LightObjective:
     ) -> tuple[Float[Tensor, "b q"], Float[Tensor, "b q q"]]:
         """Slope of the :meth:`prior`, and its Hessian without negative eigenvalues.
 
-        A light prior may offer its own; normal ones are known, the others are by differences.
-        Without a ``clock``, that says nothing.
+        A light prior may offer its own; normal ones and that of albedo are known, the others are
+        by differences. Without a ``clock``, that says nothing.
         """
-        model, own = self.model, self.light_prior
-        without = [*NORMAL_PRIORS, *([] if clock else ["sun_prior"])]
+        model, own, w = self.model, self.light_prior, self.weights
+        without = [*NORMAL_PRIORS, "albedo_prior", *([] if clock else ["sun_prior"])]
         unknowns = torch.arange(self.size, device=free.device)
         light, _, skin, ground = unknowns.split(self.sizes)
-        albedo = skin.unflatten(0, (len(self.faces), -1))[:, 1:4].flatten()
-        told = self.below is not None or (clock and any(self.sun_priors))  # of the light, by others
-        curved = own if isinstance(own, CurvedPrior) and not told else None
-        if curved is not None:
-            without.append("light_prior")
-        bent = torch.cat([albedo, ground] if curved is not None else [light, albedo, ground])
-
-        def others(x: Tensor, rows: Tensor) -> Tensor:
-            whole = free[rows].index_copy(1, bent, x)
-            return self.prior(whole, None if problem is None else problem[rows], without=without)
-
         precisions = self._normal_precisions().to(free)
         slope, hessian = free * precisions, torch.diag(precisions).repeat(len(free), 1, 1)
-        parts = [
-            (bent, *convex_shape(others, free[:, bent], unknowns.new_tensor(range(len(free)))))
-        ]
-        if curved is not None:
-            first, second = curved.convex_shape(without_azimuth(model, free[:, : len(light)]))
-            weight = self.weights.light_prior
-            parts.append((without_azimuth(model, light), weight * first, weight * second))
-        for columns, first, second in parts:
+
+        def add(columns: Tensor, first: Tensor, second: Tensor) -> None:
             slope[:, columns] += first
             hessian[:, columns[:, None], columns] += second
+
+        for of_face in skin.unflatten(0, (len(self.faces), -1))[:, 1:4]:
+            albedo = torch.sigmoid(free[:, of_face])
+            first, second = self.albedo_prior.shape(albedo.log())  # d log a = (1 - a) d logit
+            along = 1 - albedo
+            second = along[:, :, None] * second * along[:, None]
+            second = convex(second - torch.diag_embed(first * albedo * along))
+            add(of_face, w.albedo_prior * first * along, w.albedo_prior * second)
+        if isinstance(own, CurvedPrior):
+            without.append("light_prior")
+            first, second = own.convex_shape(without_azimuth(model, free[:, : len(light)]))
+            add(without_azimuth(model, light), w.light_prior * first, w.light_prior * second)
+        left = self.priors(free, problem, without=without).keys()
+        if left:
+            if self.below is None and "light_prior" not in left:
+                light = light[self._of_suns()] if "sun_prior" in left else light[:0]
+            bent = torch.cat([light, ground])
+
+            def others(x: Tensor, rows: Tensor) -> Tensor:
+                whole = free[rows].index_copy(1, bent, x)
+                mine = None if problem is None else problem[rows]
+                return self.prior(whole, mine, without=without)
+
+            every = torch.arange(len(free), device=free.device)
+            add(bent, *convex_shape(others, free[:, bent], every))
         return slope, hessian
+
+    def _of_suns(self) -> slice | list[int]:
+        """Which of the light's unknowns say where the sun stands."""
+        if not isinstance(self.model, LampedLight):
+            return slice(None)
+        at, turn = self.model.ambient_parameters, self.model.azimuth_index
+        lamps = range(at, self.model.parameter_count)
+        return [*([] if turn is None else [turn]), *lamps]
 
     def _normal_precisions(self) -> Float[Tensor, " q"]:
         """Those of the :data:`NORMAL_PRIORS`, all about 0; of other unknowns 0."""
@@ -516,20 +539,20 @@ class LightObjective:
         sun = self.model.sun_direction(light)
         return None if sun is None else sun[..., None, :]
 
-    def _light_nll(self, free: Float[Tensor, "b p"]) -> dict[str, Float[Tensor, " b"]]:
+    def _light_nll(self, free: Float[Tensor, "b p"]) -> Float[Tensor, " b"] | None:
         if self.light_prior is None:
-            return {}
-        nll = -self.light_prior.log_prob(free).to(free.dtype)
-        return {"light_prior": self.weights.light_prior * nll}
+            return None
+        nll = -self.light_prior.log_prob(without_azimuth(self.model, free)).to(free.dtype)
+        return self.weights.light_prior * nll
 
-    def _ground_nll(self, parts: Unpacked) -> dict[str, Float[Tensor, " b"]]:
+    def _ground_nll(self, parts: Unpacked) -> Float[Tensor, " b"] | None:
         if self.below is not None:
             nll = -self.below.log_prob(self.broad(parts.light))
         elif self.ground is not None:
             nll = -self.ground_prior.log_prob(parts.ground_albedo.log())
         else:
-            return {}
-        return {"ground_prior": self.weights.ground_prior * nll}
+            return None
+        return self.weights.ground_prior * nll
 
     def _white_balance_nll(self, parts: Unpacked) -> Float[Tensor, " b"]:
         spread = self.weights.white_balance_spread or 1.0  # of gains that do not count

@@ -47,7 +47,7 @@ LIKELY = 4  # candidates where clock and place tell of the sun
 # deviation of 0.1 to one of 0.7 (11.2 with normals trusted); the median prefers 0.2 and less.
 NORMAL_COST = 0.2**2 / 250
 NORMAL_ROUNDS = 2
-FURTHER = 512  # directions that leave least, for which there are further rounds
+FURTHER = 512  # directions that leave least, whose normals are turned in a first scan
 _BLOCK = 32  # directions at a time on a CPU, whose cache holds so many of pixels x modes
 
 
@@ -414,7 +414,9 @@ def _explain(
         x[fresh] = _solved(gram[fresh], right[fresh], start[fresh])
     bounded = [p for p in fresh if bool(problems[p].clipped.any())]
     bounded_right, bounded_level = right.clone(), level.clone()
-    for update in range(BOUND_UPDATES + 1 if bounded else 0):
+    # wrong normals raise their bounds by what is solved first
+    known = any(problems[p].normals is None for p in bounded)
+    for update in range((BOUND_UPDATES if known else 0) + 1 if bounded else 0):
         if update:
             x[bounded] = _solved(gram[bounded], bounded_right[bounded], x[bounded])
         for p in bounded:
@@ -459,8 +461,12 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"], rounds: int) ->
         y = single.with_bounds_at(x)
     kept = torch.arange(count, device=x.device)
     modes = errors.modes.shape[1]
-    found = {name: torch.zeros_like(x) for name in ("x", "before")}
-    found |= {"amounts": x.new_zeros(count, modes, 1), "squared": x.new_zeros(count)}
+    found = {"x": x.clone(), "before": torch.zeros_like(x)}
+    found |= {"amounts": x.new_zeros(count, modes, 1), "squared": explained.squared.to(x)}
+    if rounds > 1 and count > FURTHER + 2:
+        best = found["squared"][:-2].argsort()[:FURTHER].sort().values
+        kept = torch.cat([best, best.new_tensor([count - 2, count - 1])])
+        single, suns, gram, x, y = single.among(kept), suns[kept], gram[kept], x[kept], y[kept]
     for further in reversed(range(rounds)):
         rows = [slice(begin, begin + block) for begin in range(0, len(x), block)]
         parts = [
@@ -476,11 +482,6 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"], rounds: int) ->
             assert single.normals is not None
             turned = [single.normals.turned(before, amounts, some, len(one.suns)) for some in rows]
             y = single.with_bounds_at(x, torch.cat(turned))
-        if further and len(x) > FURTHER + 2:
-            best = found["squared"][kept][:-2].argsort()[:FURTHER].sort().values
-            best = torch.cat([best, best.new_tensor([len(x) - 2, len(x) - 1])])
-            single, suns, gram = single.among(best), suns[best], gram[best]
-            x, y, kept = x[best], y[best], kept[best]
     end = _Explained(problem=one, x=found["x"].to(one.y), squared=found["squared"].to(one.y))
     at = slice(end.best, end.best + 1)
     added = errors.turned(found["before"], found["amounts"], at, len(one.suns))

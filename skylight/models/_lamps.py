@@ -13,11 +13,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight._modes import on_cpu, single
+from skylight._modes import full_precision, on_cpu, single
 from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.models._base import draws
 from skylight.models._lobes import LAMP_PARAMETERS, LONGEST, LampedLight
+from skylight.models._prior import convex
 from skylight.sphere import _harmonics as harmonics
 
 AMBIENT_PARAMETERS = 16
@@ -116,6 +117,35 @@ class LampsPrior(Module):
         towards = towards - math.log(0.1) - 2 * length.clamp(min=1e-12).log()
         rest = _log_normal(each[..., 3:]).sum((-2, -1))
         return _log_normal(ambient).sum(-1) + rest + towards.sum(-1)
+
+    @torch.no_grad()
+    def convex_shape(
+        self, x: Float[Tensor, "b p"]
+    ) -> tuple[Float[Tensor, "b p"], Float[Tensor, "b p p"]]:
+        """Slope of ``-log_prob``, and its Hessian without negative eigenvalues, in closed form.
+
+        Of a direction d of length r, u = d / r and the height y of u they are those of
+        ``-h y + 50 (r - 1)^2 + 2 log r``: with 1 - u u^T across and u along, ::
+
+            -h (e - y u) / r + (100 (r - 1) + 2 / r) u,
+            h (e u^T + u e^T + y (1 - 3 u u^T)) / r^2 + 100 u u^T - 2 u u^T / r^2
+                + (100 (r - 1) / r + 2 / r^2) (1 - u u^T).
+        """
+        x = single(x)
+        with full_precision(x):
+            slope, hessian = x.clone(), torch.eye(x.shape[1]).to(x).repeat(len(x), 1, 1)
+            eye, h = torch.eye(3).to(x), LAMP_HEIGHT
+            for begin in range(AMBIENT_PARAMETERS, x.shape[1], LAMP_PARAMETERS):
+                at = slice(begin, begin + 3)
+                r = x[:, at].norm(dim=1).clamp(min=1e-12)[:, None]
+                u, up = x[:, at] / r, x[:, begin + 1, None] / r
+                slope[:, at] = (100 * (r - 1) + 2 / r) * u - h * (eye[1] - up * u) / r
+                r, up = r[..., None], up[..., None]
+                along, rising = u[:, :, None] * u[:, None], eye[1][:, None] * u[:, None]
+                bent = h * (rising + rising.mT + up * (eye - 3 * along)) / r**2
+                bent = bent + (100 - 2 / r**2) * along
+                hessian[:, at, at] = convex(bent + (100 * (r - 1) / r + 2 / r**2) * (eye - along))
+            return slope, hessian
 
     def sample(
         self, shape: int | Sequence[int] = (), generator: torch.Generator | None = None

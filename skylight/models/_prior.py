@@ -70,6 +70,22 @@ class GaussianMixture(Module):
         """``log w_k + log N(x; mu_k, (B_k B_k^T)^-1)``."""
         return self.weights.to(x.dtype).log() + log_normals(x, self.means, self.precision_factors)
 
+    @torch.no_grad()
+    def shape(self, x: Float[Tensor, "b p"]) -> tuple[Float[Tensor, "b p"], Float[Tensor, "b p p"]]:
+        """Slope and Hessian of ``-log_prob``, in closed form and in x's dtype.
+
+        With components' shares r_k at x, precisions P_k and slopes g_k = P_k (x - mu_k) they are
+        ``g = sum_k r_k g_k`` and ``sum_k r_k (P_k - g_k g_k^T) + g g^T``.
+        """
+        at, factors = x.double(), self.precision_factors.double()
+        share, precisions = torch.softmax(self._log_weighted(at), 1), factors @ factors.mT
+        pulls = torch.einsum("bkp,kpq->bkq", at[:, None] - self.means.double(), precisions)
+        slope = torch.einsum("bk,bkp->bp", share, pulls)
+        off = pulls - slope[:, None]  # whose products lose no digits far away
+        hessian = torch.einsum("bk,kpq->bpq", share, precisions)
+        hessian = hessian - torch.einsum("bk,bkp,bkq->bpq", share, off, off)
+        return slope.to(x), hessian.to(x)
+
     def sample(
         self, shape: int | Sequence[int] = (), generator: torch.Generator | None = None
     ) -> Float[Tensor, "*shape p"]:
@@ -203,9 +219,14 @@ def convex_shape(
     around, many = (x[:, None] + steps).flatten(0, 1), rows.repeat_interleave(len(steps))
     slopes = slope_of(around, many).unflatten(0, (count, -1))
     ahead, behind, here = slopes.split([size, size, 1], 1)
-    hessian = ((ahead - behind) / (2 * _SLOPE_STEP)).nan_to_num(posinf=0.0, neginf=0.0)
-    values, vectors = torch.linalg.eigh(0.5 * (hessian + hessian.mT))
-    return here[:, 0], vectors @ (values.clamp(min=0)[..., None] * vectors.mT)
+    return here[:, 0], convex((ahead - behind) / (2 * _SLOPE_STEP))
+
+
+def convex(hessian: Float[Tensor, "*b p p"]) -> Float[Tensor, "*b p p"]:
+    """Without its negative eigenvalues, and symmetric; what is not finite is 0."""
+    finite = hessian.nan_to_num(posinf=0.0, neginf=0.0)
+    values, vectors = torch.linalg.eigh(0.5 * (finite + finite.mT))
+    return vectors @ (values.clamp(min=0)[..., None] * vectors.mT)
 
 
 def precision_factors_of(covariances: Float[Tensor, "*b p p"]) -> Float[Tensor, "*b p p"]:

@@ -61,8 +61,10 @@ def test_the_lamp_of_a_ball_is_found_and_told_of_which_kind_the_place_is() -> No
     assert found.faces[0].residual < 0.05
 
 
-def told_by_even_light(*lamps: tuple[tuple[float, float, float], float]) -> SunPrior | None:
-    """What lamps in even light tell of a ball's main light."""
+def told_by_even_light(
+    *lamps: tuple[tuple[float, float, float], float],
+) -> tuple[SunPrior | None, int]:
+    """What lamps in even light tell of a ball's main light, and of how many it has."""
     (problem,) = light_problems("sphere", device="cpu")
     assert isinstance(problem, LampsProblem)
     problem.add(lit_ball(*lamps))
@@ -71,8 +73,9 @@ def told_by_even_light(*lamps: tuple[tuple[float, float, float], float]) -> SunP
 
 
 def test_lamps_in_even_light_tell_where_the_main_one_is() -> None:
-    told = told_by_even_light((ONE, 3.0), ((-0.7, 0.5, 0.6), 1.0))
+    told, most = told_by_even_light((ONE, 3.0), ((-0.7, 0.5, 0.6), 1.0))
     assert told is not None
+    assert most == 2
     grid = DirectionGrid.latlong(64)
     density = told.log_density(grid.directions)
     assert float(density.exp() @ grid.solid_angles) == pytest.approx(1, abs=3e-3)
@@ -81,7 +84,7 @@ def test_lamps_in_even_light_tell_where_the_main_one_is() -> None:
 
 
 def test_even_light_tells_nothing_and_leaves_the_estimate_as_it_is() -> None:
-    assert told_by_even_light() is None
+    assert told_by_even_light() == (None, 0)
     found = []
     for guide in (None, LAMPS):
         (problem,) = light_problems("sphere", device="cpu")
@@ -174,6 +177,8 @@ def test_plants_behind_a_face_are_outdoors_by_day_unless_the_place_is_known() ->
         assert (problem.family is empty.family) == (place != "auto")
         assert problem.family.most == (1 if place == "auto" else 3)
         found, before = problem.faces.sun_prior, empty.faces.sun_prior
+        again = problem.another()  # another photograph may be of any place
+        assert (again.family, again.faces.sun_prior) == (empty.family, before)
         if place == "auto":  # what the clock says of the sun is of the main light, then
             assert found.open_sky == 1.0 > before.open_sky
         else:

@@ -5,8 +5,9 @@ import math
 import pytest
 import torch
 
-from skylight.models._base import without_azimuth
-from skylight.models._lamps import LampsLight
+from skylight.models._base import Prior, without_azimuth
+from skylight.models._lamps import LampsLight, LampsPrior
+from skylight.models._prior import GaussianMixture, convex
 from skylight.models._sphere import SphereLight, SpherePrior, row_turns
 from tests.models.test_sphere import small_places
 
@@ -79,6 +80,31 @@ def test_of_one_component_that_is_the_hessian() -> None:
         torch.testing.assert_close(found, convex, rtol=1e-4, atol=1e-4)
 
 
-def slope_of(prior: SpherePrior, x: torch.Tensor) -> torch.Tensor:
+def slope_of(prior: Prior, x: torch.Tensor) -> torch.Tensor:
     leaf = x.clone().requires_grad_()
     return torch.autograd.grad(-prior.log_prob(leaf).sum(), leaf)[0]
+
+
+def test_a_mixture_bends_as_automatic_differentiation_says() -> None:
+    """Between its components, where it is concave, and far away."""
+    factors = torch.eye(3).repeat(2, 1, 1) * torch.tensor([1.0, 3.0])[:, None, None]
+    means = torch.tensor([[0.0, 0, 0], [1.5, -1, 0.5]])
+    mixture = GaussianMixture(torch.tensor([0.3, 0.7]), means, factors).double()
+    x = torch.cat([means.mean(0)[None], torch.randn(4, 3), torch.full((1, 3), 300.0)]).double()
+    slope, hessian = mixture.shape(x)
+    torch.testing.assert_close(slope, slope_of(mixture, x))
+    for one, found in zip(x, hessian, strict=True):
+        exact = torch.autograd.functional.hessian(lambda at: -mixture.log_prob(at), one)
+        torch.testing.assert_close(found, exact)
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_lamps_in_even_light_bend_as_automatic_differentiation_says(count: int) -> None:
+    prior = LampsPrior(count).double()
+    x = prior.sample(5, torch.Generator().manual_seed(count))
+    x = x + 0.3 * torch.randn(x.shape, generator=torch.Generator().manual_seed(3)).double()
+    slope, hessian = prior.convex_shape(x)
+    torch.testing.assert_close(slope, slope_of(prior, x))
+    for one, found in zip(x, hessian, strict=True):
+        exact = torch.autograd.functional.hessian(lambda at: -prior.log_prob(at), one)
+        torch.testing.assert_close(found, convex(exact))
