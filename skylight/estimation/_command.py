@@ -125,7 +125,7 @@ def estimate(
             picture's own pixels inside its view, without the person), or mirrored (its texture
             round the sphere too: invented, for reflections).
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
-            up to 0.9 GB.
+            up to 1 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
         batch: Of a folder, for --light autoencoder, sunsky or auto: so many pictures are solved
             together on the device by one process, while the workers do the rest; by default 16 by

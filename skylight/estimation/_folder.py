@@ -80,7 +80,7 @@ def estimate_folder(
     together on the device of the settings (:func:`estimate_together`); by default
     :data:`GPU_BATCH` on a GPU for the lights that can be, else each by its worker.
 
-    Memory: each worker takes up to 0.9 GB.
+    Memory: each worker takes up to 1 GB.
 
     Raises
     ------

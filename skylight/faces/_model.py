@@ -114,12 +114,6 @@ class HeadModel:
             "lc,lcd->ld", self.landmark_bary, vertices[self.faces[self.landmark_faces]]
         )
 
-    def contour(self, vertices: Float[ndarray, "n 3"]) -> Float[ndarray, "17 c 3"]:
-        """The jaw landmarks' sliding candidates on a head with these vertices."""
-        return np.einsum(
-            "lkc,lkcd->lkd", self.contour_bary, vertices[self.faces[self.contour_faces]]
-        )
-
     @cached_property
     def landmark_basis(self) -> Basis:
         """Of the 68 landmarks alone."""

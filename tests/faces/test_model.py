@@ -26,6 +26,12 @@ MIRROR = np.array(
 )
 
 
+def contour(head, vertices):
+    """The jaw landmarks' sliding candidates (17,c,3) on a head with these vertices."""
+    corners = vertices[head.faces[head.contour_faces]]
+    return np.einsum("lkc,lkcd->lkd", head.contour_bary, corners)
+
+
 @pytest.fixture(scope="module")
 def head() -> HeadModel:
     return HeadModel.load()
@@ -114,11 +120,11 @@ def test_landmark_and_contour_bases_agree_with_the_mesh(head):
     assert np.allclose(from_basis, head.landmarks(vertices), atol=1e-9)
     mean, by_identity, by_expression = head.contour_basis
     from_basis = mean + by_identity @ identity + by_expression @ expression
-    assert np.allclose(from_basis, head.contour(vertices), atol=1e-9)
+    assert np.allclose(from_basis, contour(head, vertices), atol=1e-9)
 
 
 def test_contour_rows_hold_their_landmark_and_run_backwards(head, mean_landmarks):
-    rows = head.contour(head.mean)
+    rows = contour(head, head.mean)
     gap = np.linalg.norm(rows - mean_landmarks[:17, None], axis=2)
     assert (gap.min(1) < 1e-4).all()
     assert (rows[:, 0, 2] > rows[:, -1, 2] + 0.01).all()
@@ -304,7 +310,7 @@ def test_jaw_landmarks_lie_on_the_silhouette(head):
     truth = person(head, 2)
     seen = SlidingLandmarks(head, np.zeros((68, 2)) + np.arange(68)[:, None])
     points, jacobian = seen.points(truth)
-    rows = head.contour(head.vertices(truth.identity, truth.expression))
+    rows = contour(head, head.vertices(truth.identity, truth.expression))
     for k in range(17):
         assert np.abs(rows[k] - points[k]).sum(1).min() < 1e-12
     step = 1e-3
