@@ -158,6 +158,19 @@ def test_changelog_keeps_its_form():
     assert kinds <= {f"### {kind}" for kind in known}
 
 
+def guides() -> list[str]:
+    (shelf,) = re.findall(
+        r":caption: Guides\n.*?\n\n(.*?)```", (DOCS / "index.md").read_text(), re.S
+    )
+    return [name for name in shelf.split() if (DOCS / f"{name}.md").exists()]
+
+
+@pytest.mark.parametrize("name", guides())
+def test_guides_say_what_to_do_when_it_looks_wrong(name):
+    text = (DOCS / f"{name}.md").read_text()
+    assert re.search(r"^## (If it (looks wrong|does not work)|Where it fails)$", text, re.M)
+
+
 # ------------------------------------------------------------------------------- supply chain
 
 

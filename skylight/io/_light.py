@@ -167,8 +167,10 @@ def _filled(
 
 
 def _means(values: Float[np.ndarray, "h w 3"], size: int) -> Float[np.ndarray, "h w 3"]:
-    """Means over squares of ``size`` pixels."""
+    """Means over squares of ``size`` pixels, of values of 0 or more."""
     side = size // 2
     around = np.pad(values, ((0, 0), (side, side), (0, 0)), mode="wrap")
     around = np.pad(around, ((side, side), (0, 0), (0, 0)), mode="edge")
-    return cv2.boxFilter(around, -1, (size, size))[side:-side, side:-side]
+    means = cv2.boxFilter(around, -1, (size, size))[side:-side, side:-side]
+    # its running sums lose 1e-16 of the largest value that they have passed
+    return np.maximum(means, 0)

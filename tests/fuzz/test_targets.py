@@ -15,7 +15,15 @@ from tests.fuzz.mutate import mutated
 from tests.fuzz.targets import NAMES
 
 ROOT = Path(__file__).parents[2]
-FEWER = {"mesh": 150, "records": 150, "estimate": 150, "studio": 100, "raw": 100, "bundle": 100}
+FEWER = {
+    "mesh": 150,
+    "records": 150,
+    "estimate": 150,
+    "maps": 150,
+    "studio": 100,
+    "raw": 100,
+    "bundle": 100,
+}
 INPUTS = dict.fromkeys(NAMES, 300) | FEWER
 TEXTS = ("code", "records", "mesh", "vox", "onnx", "notes", "blender", "mp4")
 

@@ -52,6 +52,16 @@ def test_a_few_bad_pixels_are_repaired_on_demand(
     np.testing.assert_array_equal(got[kept], light[kept])
 
 
+def test_holes_in_the_dark_are_dark_whatever_shines_elsewhere(tmp_path: Path) -> None:
+    bad = some_map()
+    bad[1:3, 2:20] = np.random.default_rng(1).uniform(0, 8e34, (2, 18, 3))
+    bad[5:12] = 0
+    bad[8, ::2] = np.nan
+    got = read_radiances(write(tmp_path / "a.exr", bad), repair=True)
+    assert got.min() == 0
+    assert got[8].max() < 1e-15 * bad[1:3].max()
+
+
 def test_what_is_too_much_to_repair(tmp_path: Path) -> None:
     many, negative = some_map(), some_map()
     many[:2] = np.nan

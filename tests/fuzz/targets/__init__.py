@@ -7,6 +7,7 @@ returns or raises a :class:`~skylight.errors.SkylightError`. Everything else is 
 NAMES = (
     "exr",
     "hdr",
+    "maps",
     "photo",
     "code",
     "records",

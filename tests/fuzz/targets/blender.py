@@ -19,6 +19,7 @@ _SCENE = {
     "kind": KIND, "version": VERSION, "world": "light.hdr", "suns": [_SUN],
     "photograph": "photograph.png", "photograph_px": [60, 80], "focal_length_px": 120.5,
     "head": _HEAD, "albedo": [0.5, 0.4, 0.3], "ior": 1.4, "roughness": 0.5,
+    "white": [0.8, 0.7, 0.6],
     "verdict": "direction rough, brightness rough, colour sure", "advice": ["a", "b"],
 }  # fmt: skip
 

@@ -1,5 +1,6 @@
 """Photographs, boards and masks of 8 and 16 bits, with EXIF data and declared colours."""
 
+import math
 import struct
 import zlib
 
@@ -25,6 +26,8 @@ def seeds() -> list[bytes]:
     tags = exif.get_ifd(ExifTags.IFD.Exif)
     tags[ExifTags.Base.FocalLengthIn35mmFilm] = 50
     tags[ExifTags.Base.ExposureTime] = 0.01
+    tags[ExifTags.Base.FNumber] = 2.8
+    tags[ExifTags.Base.ISOSpeedRatings] = 200
     deep = codes.astype(np.uint16) * 257
     planar = {"photometric": "rgb", "planarconfig": "separate"}
     profile = b"p\0\0" + zlib.compress(icc_profile(np.eye(3), 2.2))
@@ -52,6 +55,9 @@ def read(content: bytes) -> None:
     is_refused(lambda: read_mask(path))
     photo = read_photo(path)
     assert bool(photo.pixels.isfinite().all())
+    if photo.camera_exposure is not None:
+        assert math.isfinite(photo.camera_exposure.value)
+        assert 0 < photo.camera_exposure.cd_per_m2 < math.inf
 
 
 def _checked(content: bytes) -> bytes:
