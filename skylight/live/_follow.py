@@ -52,9 +52,8 @@ class FaceFollower:
         if self._points is not None and self.head is not None:
             square = square_of_landmarks(self._points)
             points, presence = self._landmarker.glance(codes, square)
-            if presence >= LEAST_PRESENCE:
+            if presence >= LEAST_PRESENCE and self.head.follow(points):
                 self._points = points
-                self.head.follow(points)
                 return True
             self._points, self._without = None, 0
         self._without += 1

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from skylight.faces._fit import FIRST_OF_SHAPE, FitProblem, FitState, fit_face
+from skylight.faces._fit import FIRST_OF_SHAPE, FitProblem, FitState, camera_project, fit_face
 from skylight.faces._landmarks import MESH_EYES, DetectedFace
 from skylight.faces._model import Basis, HeadModel, PosedHead, Region, mesh_whitening
 from skylight.sphere._frame import DirectionGrid
@@ -23,6 +23,8 @@ from skylight.transport._visibility import adaptive_visibility
 
 POINTS = 400  # of the face's skin: each stands for 0.6 cm^2
 ROWS = 32  # of the directions from which light comes: cells of 5.6 degrees
+# Mean of the landmarks' errors over the distance of the eyes: rendered people have 0.02 to 0.05
+MOST_ERROR = 0.15
 POSE_STEPS = 2  # of Gauss and Newton from one frame to the next, which move landmarks by pixels
 
 
@@ -130,22 +132,32 @@ class LiveHead:
             center_px=(width / 2, height / 2),
         )
 
-    def follow(self, points: Float[ndarray, "478 2"]) -> None:
+    def follow(self, points: Float[ndarray, "478 2"]) -> bool:
         """Pose and expression from the landmarks of the next frame, by steps of Gauss and Newton.
 
-        The shape and the focal length stay.
+        The shape and the focal length stay. False, and as before, where landmarks are not met to
+        :data:`MOST_ERROR`: it is another head, or it moved further than steps reach.
         """
-        problem = FitProblem(self.model, TrackedMesh(self.model, points), *self.size, None)
-        shape = len(self.state.identity)
+        seen = TrackedMesh(self.model, points)
+        problem = FitProblem(self.model, seen, *self.size, None)
+        shape, state = len(self.state.identity), self.state
         free = np.r_[0:6, FIRST_OF_SHAPE + shape : FIRST_OF_SHAPE + shape + problem.expressions]
         for _ in range(POSE_STEPS):
-            gap, jacobian = problem.residuals(self.state)
-            prior, slope = problem.prior(self.state)
+            gap, jacobian = problem.residuals(state)
+            prior, slope = problem.prior(state)
             moving = jacobian[:, free]
             hessian = moving.T @ moving + np.diag(slope[free] ** 2)
             step = np.zeros(jacobian.shape[1])
             step[free] = -np.linalg.solve(hessian, moving.T @ gap + (slope * prior)[free])
-            self.state = self.state.stepped(step, shape)
+            state = state.stepped(step, shape)
+        placed = seen.points(state)[0] @ state.rotation.T + state.translation
+        gap = camera_project(self.camera, placed) - seen.target
+        right, left = seen.target[list(seen.eyes)]
+        error = np.linalg.norm(gap, axis=1).mean() / np.linalg.norm(left - right)
+        if not (placed[:, 2] < 0).all() or not error < MOST_ERROR:
+            return False
+        self.state = state
+        return True
 
     def places(self) -> tuple[Float[ndarray, "p 3"], Float[ndarray, "p 2"]]:
         """The points of the skin in the camera's frame, with their expression, and in the picture.

@@ -45,7 +45,7 @@ def test_the_pose_is_followed_through_turns_and_words() -> None:
         place = PLACE + step * np.array([0.01, -0.004, 0.01])
         expression = still.copy()
         expression[3] = 0.15 * step
-        head.follow(landmarks(model.average, expression, rotation, place))
+        assert head.follow(landmarks(model.average, expression, rotation, place))
         relative = head.state.rotation @ rotation.T
         angle = np.degrees(np.arccos(np.clip((np.trace(relative) - 1) / 2, -1, 1)))
         assert angle < 1.5
@@ -62,3 +62,18 @@ def test_places_look_where_the_head_looks() -> None:
     seen = landmarks(model.average, still, rotation, PLACE)
     head = LiveHead(model, detected(seen), CAMERA.width, CAMERA.height)
     assert angle_deg(head.state.rotation[:, 2], rotation[:, 2]) < 1.5
+
+
+def test_another_head_is_not_followed() -> None:
+    """Landmarks that are no head's, or one upside down: the pose stays as it was."""
+    model = HeadModel.load()
+    still = np.zeros(model.expression_basis.shape[2])
+    seen = landmarks(model.average, still, turned(0.0), PLACE)
+    head = LiveHead(model, detected(seen), CAMERA.width, CAMERA.height)
+    before = head.state
+    scattered = seen + np.random.default_rng(3).normal(0, 60, seen.shape)
+    mirrored = seen * [1, -1] + [0, 480]
+    for other in (scattered, mirrored):
+        assert not head.follow(other)
+        assert head.state is before
+    assert head.follow(seen)
