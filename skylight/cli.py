@@ -15,6 +15,7 @@ from skylight._options import who_works
 from skylight.errors import InputError, explain
 from skylight.estimation._command import estimate
 from skylight.io._atomic import PARTIAL
+from skylight.live._command import live
 from skylight.maps._command import code_probe, convert, decode_code, score
 from skylight.maps._export_command import export, export_light
 from skylight.object._command import estimate_object
@@ -168,6 +169,7 @@ EVERYDAY = {
     "estimate": estimate,
     "relight-portrait": relight_portrait,
     "studio": studio,
+    "live": live,
     "demo": demo,
     "export": (export, "Write what other programs and browsers need."),
 }

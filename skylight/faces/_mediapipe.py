@@ -103,7 +103,7 @@ class MediaPipeLandmarker:
             points, presence = self.glance(look.picture, look.in_picture(square))
             if presence < _FAINTEST_GLANCE:
                 continue
-            seen = self.read(look.picture, _square_of_landmarks(points))
+            seen = self.read(look.picture, square_of_landmarks(points))
             inside = ((seen.points > 0) & (seen.points < [width, height])).all(1).mean()
             if seen.presence < _LEAST_PRESENCE or inside < _LEAST_INSIDE:
                 continue
@@ -265,7 +265,8 @@ def rotated(image: Picture, angle_deg: float) -> tuple[Shown, Float[ndarray, "2 
     return cv2.warpAffine(image, centres, (int(size[0]), int(size[1])), flags=flags), back
 
 
-def _square_of_landmarks(points: Float[ndarray, "478 2"]) -> Square:
+def square_of_landmarks(points: Float[ndarray, "478 2"]) -> Square:
+    """Where the landmark network looks for the face that has, or had, these landmarks."""
     box = np.stack([points.min(0), points.max(0)])
     right, left = MESH_EYES
     return upright(box, points[right], points[left])

@@ -300,6 +300,12 @@ def _mesh_moment() -> Float[ndarray, "q q"]:
 
 
 @cache
+def mesh_whitening() -> Float[ndarray, "q q"]:
+    """Of the mesh's points, in eye distances: W with W^T W = S^-1."""
+    return np.linalg.inv(np.linalg.cholesky(_mesh_moment()))
+
+
+@cache
 def _whitening() -> Float[ndarray, "136 136"]:
     """Of the 68 landmarks, in eye distances."""
     (moment,) = landmark_errors("dlib", "second_moment")

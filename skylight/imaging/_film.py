@@ -137,7 +137,7 @@ def film_frames(
                 yield FilmFrame(
                     number=number,
                     time_s=max(last_s, 0.0),
-                    codes=_scaled(as_rgb(bgr), most_side, shape),
+                    codes=scaled(as_rgb(bgr), most_side, shape),
                 )
             number += 1
         if number == 0:
@@ -198,9 +198,12 @@ def _pixel_shape(capture: cv2.VideoCapture, source: Path) -> tuple[float, float]
     return (1.0, aspect) if turned else (aspect, 1.0)
 
 
-def _scaled(
-    codes: UInt8[np.ndarray, "h w 3"], most_side: int | None, shape: tuple[float, float]
+def scaled(
+    codes: UInt8[np.ndarray, "h w 3"],
+    most_side: int | None,
+    shape: tuple[float, float] = (1.0, 1.0),
 ) -> UInt8[np.ndarray, "h2 w2 3"]:
+    """At most so many pixels on the longer side, where pixels are of that ``shape`` (w, h)."""
     height, width = codes.shape[0] * shape[1], codes.shape[1] * shape[0]
     scale = 1.0 if most_side is None else min(1.0, most_side / max(height, width))
     size = max(1, round(width * scale)), max(1, round(height * scale))

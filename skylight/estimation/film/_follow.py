@@ -19,9 +19,8 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from skylight.errors import InputError
-from skylight.faces._blazeface import Square, upright
-from skylight.faces._landmarks import MESH_EYES, DetectedFace
-from skylight.faces._mediapipe import MediaPipeLandmarker, Reading, to_ibug
+from skylight.faces._landmarks import DetectedFace
+from skylight.faces._mediapipe import MediaPipeLandmarker, Reading, square_of_landmarks, to_ibug
 from skylight.imaging._camera_turns import BackgroundCorners, Link
 from skylight.imaging._film import FilmFrame
 from skylight.io._files import write_png
@@ -235,7 +234,7 @@ class _Following:
     def _followed(self, frame: FilmFrame) -> Float[ndarray, "478 2"] | None:
         if self.points is None:
             return None
-        points, presence = self.landmarker.glance(frame.codes, _square(self.points))
+        points, presence = self.landmarker.glance(frame.codes, square_of_landmarks(self.points))
         return points if presence >= LEAST_PRESENCE else None
 
     def _detected(self, frame: FilmFrame) -> Float[ndarray, "478 2"] | None:
@@ -264,7 +263,7 @@ class _Following:
         seen = []
         for square in self.landmarker.find(frame.codes):
             points, _ = self.landmarker.glance(frame.codes, square)
-            seen.append(self.landmarker.read(frame.codes, _square(points)))
+            seen.append(self.landmarker.read(frame.codes, square_of_landmarks(points)))
         # leaves and cloth reach two thirds of a real face's probability
         least = max([LEAST_PRESENCE, *(_WEAKEST_SHARE * one.presence for one in seen)])
         found = [one.points for one in seen if one.presence >= least]
@@ -279,7 +278,7 @@ class _Following:
 
     def _keep(self, source: Source, points: Float[ndarray, "478 2"]) -> None:
         frame, shot = source.frame, self.shot
-        reading = self.landmarker.read(frame.codes, _square(points))
+        reading = self.landmarker.read(frame.codes, square_of_landmarks(points))
         if reading.presence < LEAST_PRESENCE:
             return
         keyframe = Keyframe(
@@ -330,13 +329,6 @@ def _face(reading: Reading) -> DetectedFace:
     return DetectedFace(
         points=to_ibug(reading.points), score=reading.presence, readings=reading.readings
     )
-
-
-def _square(points: Float[ndarray, "478 2"]) -> Square:
-    """Where the landmark network looks for the face that had these landmarks."""
-    box = np.stack([points.min(0), points.max(0)])
-    right, left = MESH_EYES
-    return upright(box, points[right], points[left])
 
 
 def _thumbnail(codes: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "a b"]:

@@ -1,0 +1,4 @@
+from ._live import (
+    Light as Light,
+    LiveLight as LiveLight,
+)
