@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Generic, TypeVar
 
 import torch
@@ -274,8 +273,8 @@ class LampsProblem(LightProblem):
         faces, at no higher residuals; even light cannot. What the guide tells counts as a clock
         does, but not in the posterior, whose scan is of the same pixels: a number of lamps with one
         there gains up to 5 nats of the least gain, so one lamp that the guide has needs 3 more.
-        Beside smooth light a lamp brings less than beside even light, so no more are tried than
-        brought the guide what they are to bring here.
+        Beside smooth light a lamp brings less than beside even light, so at most one more than
+        the guide has is tried.
 
         What clock and place tell of the sun counts unless the faces contradict it, as of skies. One
         lamp is looked for where they say too, they choose between lights that explain the faces,
@@ -345,17 +344,12 @@ class LampsProblem(LightProblem):
         None where that has no lamp.
         """
         scan = SunScan.of(every, candidates=self.options.scan_candidates)
-        nats: list[float] = []
 
         def fitted(count: int) -> Fitted[Iterates]:
-            found = self._fitted(guide, count, pursuit, scan, None)
-            nats.append(found.log_evidence)
-            return found
+            return self._fitted(guide, count, pursuit, scan, None)
 
         best = as_many_as_pay(fitted, guide.least_gain, guide.patience, guide.most)
-        gains = [more - fewer for fewer, more in pairwise(nats)]
-        tried = [n for n, gain in enumerate(gains, 1) if gain >= self.family.least_gain]
-        most = min(max(tried, default=0), self.family.most)
+        most = min(best.count + 1, self.family.most)
         if not best.count:
             return None, most
         light = guide.light(best.count)
