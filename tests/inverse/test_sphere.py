@@ -84,7 +84,7 @@ def test_lamps_in_even_light_tell_where_the_main_one_is() -> None:
 
 
 def test_even_light_tells_nothing_and_leaves_the_estimate_as_it_is() -> None:
-    assert told_by_even_light() == (None, 0)
+    assert told_by_even_light() == (None, 1)
     found = []
     for guide in (None, LAMPS):
         (problem,) = light_problems("sphere", device="cpu")
