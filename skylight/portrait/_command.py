@@ -83,7 +83,7 @@ def relight_portrait(
             looks at the picture, from the top, from behind (rim), from the front; or all of these.
         angle: A key light at AZ,EL: degrees from the camera towards the viewer's right (180 is
             behind the sitter), and above the camera. May be given several times.
-        soft: A wide key light, 40 degrees across, as a softbox nearby; 15 by default.
+        soft: A wide key light, 40 degrees across, as a softbox nearby; 25 by default.
         hard: A narrow one, 5 degrees across, as a bare bulb.
         size: Its width in degrees.
         strength: Of the key light: how many times as bright as the fill it makes what faces it; 4

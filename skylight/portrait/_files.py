@@ -57,7 +57,7 @@ def relit_portrait(
     """
     face = KeptFace.of(result)
     portrait = portrait or taken_apart(face, workers=workers or cores(), progress=progress)
-    picture, used = portrait.under(light.environment, exposure, keep=keep)
+    picture, used = portrait.under(light.environment, exposure, keep=keep, edge=light.edge)
     return RelitPortrait(
         picture=picture,
         photo=portrait.photo,

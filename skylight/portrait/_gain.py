@@ -2,13 +2,16 @@
 
 A fitted head is off by some hundredths of its height and the light found by some degrees, so a
 ratio of shadings that is sharper than that is wrong beside every edge. Here a light's
-:class:`Level` is the expectation of its shading over such errors, as a normalised convolution;
-gains are differences of logarithms of two lights' levels.
+level (:func:`level_of`) is the expectation of its shading over such errors, as a normalised
+convolution over the face; gains are differences of two lights' levels. Ears, neck, hair and clothes
+are where the model fits least: they get the face's gain, continued smoothly
+(:meth:`Surface.beyond`), so that no part of a person is relit without the rest.
 
 Of the old light only what the picture shows is taken away (:func:`unseen`): shadows are removed
 where the picture has them, and those that it lacks are not inverted.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -19,19 +22,22 @@ from numpy import ndarray
 from skylight.sphere._envmap import LUMINANCE
 
 # Lengths are in heights of the face.
-SHARP = 0.02  # standard deviation of the Gaussian of skin's shading: what a fitted head is off by
-SOFT = 0.05  # and of that of hair and clothes
-TINT = 0.12  # and of the colour of light
+SHARP = 0.02  # standard deviation of the Gaussian of shading: what a fitted head is off by
+REACH = 0.12  # and of what is taken of a face's gain beyond it
 EXACT = 0.01  # and of the shading whose edges the picture places
 LOCAL = 0.05  # and of the neighbourhood in which shading is compared with the picture
 EDGE = 0.02  # radius of the guided filter that tells shading's edges from texture
 SPREAD = 0.1  # and of the one of the matte in clothes
 CODES = 8.0  # of 255: less is no edge of a person
+NEAR = 0.05  # of a Gaussian of REACH: skin that is near enough
 # Logarithms.
-BRIGHTER, DARKER, TINTED = 1.0, 2.0, 0.1  # what gains approach on either side of skin's mean
+BRIGHTER, DARKER = 1.25, 2.0  # what gains of skin approach on either side of its mean
 TEXTURE = 0.05  # standard deviation of skin's albedo
-CLOTH = 0.5  # and what no skin's differs by from a face's mean, over all channels
-HUE = 0.15  # what skin's own colour differs by from place to place
+HUE = 0.35  # what skin's own colour differs by between shadow and light
+ALIKE = 0.25  # and from place to place
+SOON = 0.25  # change of level
+STEPS = 16  # of brightness
+FEW = 0.004  # of a face's pixels: so many tell little of their colour
 PORES = 0.15  # what the guided filter takes for texture
 BASE = 0.04  # of the mean shading, in addition: light that bounces between the parts of a face
 SHINE = 0.7  # of the specular reflection, which no estimate knows well
@@ -89,9 +95,11 @@ def enlarged(
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """Where a picture of shading shows skin (``bare``) and any surface (``covered``)."""
+    """Where a picture of shading shows skin (``bare``), that of the face (``face``), and any
+    surface (``covered``)."""
 
     bare: Float[ndarray, "p q"]
+    face: Float[ndarray, "p q"]
     covered: Float[ndarray, "p q"]
     face_px: float
 
@@ -99,85 +107,136 @@ class Surface:
         """Over the skin."""
         return picture[self.bare > 0].mean(0)
 
+    def share(self) -> Float[ndarray, "p q"]:
+        """How much of a place is the face's, with a soft border."""
+        return cv2.GaussianBlur(self.face, (0, 0), EXACT * self.face_px)
 
-@dataclass(frozen=True, kw_only=True)
-class Level:
-    """Light on a person as far as it is known, in logarithms.
+    def beyond(self, gain: Float[ndarray, "p q"]) -> Float[ndarray, "p q"]:
+        """What is known of the face, continued over ears, neck, hair and clothes.
 
-    ``level`` is the luminance of diffuse and, in part, specular reflection of albedo 1, ``colour``
-    each channel over the luminance.
+        Its mean over :data:`REACH`, and :func:`filled` where no skin is so near.
+        """
+        reach = REACH * self.face_px
+        near = blurred(gain[..., None], self.face, reach)
+        cover = cv2.GaussianBlur(self.face, (0, 0), reach)
+        return filled(near, np.clip(cover / NEAR, 0, 1))[..., 0]
+
+    def continued(self, gain: Float[ndarray, "p q"]) -> Float[ndarray, "p q"]:
+        """The face's own, and :meth:`beyond` it."""
+        share = self.share()
+        return share * gain + (1 - share) * self.beyond(gain)
+
+
+def level_of(
+    shading: Float[ndarray, "p q 3"],
+    specular: Float[ndarray, "p q 3"],
+    on: Surface,
+    sharp: float = SHARP,
+) -> Float[ndarray, "p q"]:
+    """Light on a face as far as it is known, a logarithm: ``ln(E[S + SHINE g] + BASE mean(S))``.
+
+    Of the luminance of diffuse and, in part, specular reflection of albedo 1; ``specular`` is over
+    the albedo. The expectation is over the face near a place, and of no use far from it.
     """
+    whole = ((shading + SHINE * specular) @ LUMINANCE_WEIGHTS)[..., None]
+    base = BASE * float(on.mean(shading) @ LUMINANCE_WEIGHTS)
+    near = blurred(whole, on.face, sharp * on.face_px)[..., 0]
+    return np.log(np.maximum(near + base, 1e-9))
 
-    level: Float[ndarray, "p q"]
-    colour: Float[ndarray, "p q 3"]
 
-    @staticmethod
-    def of(
-        shading: Float[ndarray, "p q 3"],
-        specular: Float[ndarray, "p q 3"],
-        on: Surface,
-        sharp: float = SHARP,
-    ) -> "Level":
-        """``ln(E[S + SHINE g] + BASE mean(S))``; ``specular`` is over the albedo."""
-        whole = ((shading + SHINE * specular) @ LUMINANCE_WEIGHTS)[..., None]
-        near, far = (blurred(whole, on.covered, x * on.face_px) for x in (sharp, SOFT))
-        skin = blurred(on.bare[..., None], on.covered, SHARP * on.face_px)
-        base = BASE * float(on.mean(shading) @ LUMINANCE_WEIGHTS)
-        level = np.log(np.maximum(skin * near + (1 - skin) * far + base, 1e-9))[..., 0]
-        wide = blurred(shading, on.covered, TINT * on.face_px)
-        colour = wide / np.maximum(wide @ LUMINANCE_WEIGHTS, 1e-9)[..., None]
-        return Level(level=level, colour=np.log(np.maximum(colour, 1e-3)))
+def colour_of(light: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
+    """Logarithms of channels over luminance."""
+    light = np.maximum(light, 0) + np.float32(1e-6)
+    return np.log(light / (light @ LUMINANCE_WEIGHTS)[..., None])
 
 
 def bounded(
-    gain: Float[ndarray, "*s"], brighter: float | Float[ndarray, "*s"] = BRIGHTER
+    gain: Float[ndarray, "*s"],
+    brighter: float | Float[ndarray, "*s"] = BRIGHTER,
+    darker: float | Float[ndarray, "*s"] = DARKER,
 ) -> Float[ndarray, "*s"]:
     """A logarithm with a soft knee: ``b tanh(x / b)``, b of its sign.
 
-    Shadows brightened further show noise, which e times the light makes ``e^(1 / 2.4)``, 1.5 times
-    as large in a picture's codes; skin darkened further loses its texture.
+    Shadows brightened further show noise, which ``e^1.25`` times the light makes 1.7 times as large
+    in a picture's codes, ``e^(1.25 / 2.4)``; skin darkened further loses its texture.
     """
-    limit = np.where(gain > 0, np.float32(brighter), np.float32(DARKER))
+    limit = np.where(gain > 0, np.float32(brighter), np.float32(darker))
     return limit * np.tanh(gain / limit)
 
 
-def tinted(
-    tint: Float[ndarray, "p q 3"],
-    gain: Float[ndarray, "p q"],
-    skin: Float[ndarray, "p q 3"],
-    on: Surface,
-) -> Float[ndarray, "p q 3"]:
-    """Changes of colour within :data:`TINTED` of skin's mean, and ``skin`` where light changes.
+@dataclass(frozen=True, kw_only=True)
+class SkinColour:
+    """What skin of each brightness lacks to the colour of skin of usual brightness.
 
-    ``m + b tanh((t - m) / b) + (1 - exp(-|x|)) s``, x being the ``gain`` of level.
+    Shadows are greyer in photographs, and light near white; so skin that a new light makes darker
+    or brighter changes its colour too. ``lacks`` (n,3) are logarithms at ``n`` steps of
+    :func:`~skylight.portrait._room.base_of`, from ``ln DARKEST`` to 0, of means over the face, so
+    they are the same wherever skin is as bright. ``alike`` (p,q) is how far a place has the colour
+    of skin of its brightness, as a collar, lips and hair have not.
     """
-    mean = on.mean(tint)
-    near = mean + TINTED * np.tanh((tint - mean) / TINTED)
-    return near + (1 - np.exp(-np.abs(gain)))[..., None] * skin
+
+    lacks: Float[ndarray, "n 3"]
+    alike: Float[ndarray, "p q"]
+
+    @staticmethod
+    def of(
+        picture: Float[ndarray, "p q 3"],
+        base: Float[ndarray, "p q"],
+        plain: Float[ndarray, "p q"],
+        on: Surface,
+    ) -> "SkinColour":
+        """Of a linear picture at the size of shading, and where albedo is ``plain``."""
+        steps = np.linspace(math.log(DARKEST), 0, STEPS, dtype=np.float32)
+        width = steps[1] - steps[0]
+        shown = colour_of(blurred(picture, plain, EXACT * on.face_px))
+        skin = plain > 0
+        usual = np.median(base[skin])
+        mean = np.average(shown[skin], 0, np.exp(-(((base[skin] - usual) / width) ** 2) / 2))
+        near = np.exp(-(((base[skin] - steps[:, None]) / width) ** 2) / 2)
+        lacks = near @ (mean - shown[skin]) / (near.sum(1) + FEW * skin.sum())[:, None]
+        lacks = HUE * np.tanh(lacks / HUE)
+        own = colour_of(blurred(picture, on.bare, EXACT * on.face_px))
+        off = own - (mean - _at(base, lacks))
+        alike = on.bare * np.exp(-(off**2).sum(2) / (2 * ALIKE**2))
+        return SkinColour(
+            lacks=float32(lacks), alike=cv2.GaussianBlur(float32(alike), (0, 0), EXACT * on.face_px)
+        )
+
+    def change(
+        self, gain: Float[ndarray, "h w"], base: Float[ndarray, "h w"]
+    ) -> Float[ndarray, "h w 3"]:
+        """Of colour with a ``gain`` of level: most of what skin of a place's brightness lacks, once
+        that changes by :data:`SOON`.
+        """
+        share = resized(self.alike, (gain.shape[0], gain.shape[1])) * -np.expm1(
+            -np.abs(gain) / SOON
+        )
+        return share[..., None] * _at(base, self.lacks)
+
+
+def _at(base: Float[ndarray, "h w"], table: Float[ndarray, "n 3"]) -> Float[ndarray, "h w 3"]:
+    steps = np.linspace(math.log(DARKEST), 0, len(table))
+    return np.dstack([float32(np.interp(base, steps, column)) for column in table.T])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unseen:
     """What of the old light's variation the picture does not show, so that it is not taken away.
 
-    ``level`` (h,w) is at the picture's pixels, ``colour`` at those of shading. ``skin`` is what a
-    place lacks to the mean colour of skin, whose shadows are grey in a photograph: with the light
-    of a place its colour changes towards that mean (:func:`tinted`). ``slope`` is how
+    ``level`` (h,w) is at the picture's pixels. ``slope`` is how
     much of the light's variation over skin the picture shows in all, from 0 to 1, and ``contrast``
     the standard deviation of the picture's logarithm there.
     """
 
     level: Float[ndarray, "h w"]
-    colour: Float[ndarray, "p q 3"]
-    skin: Float[ndarray, "p q 3"]
     slope: float
     contrast: float
 
 
 def unseen(
     picture: Float[ndarray, "h w 3"],
-    before: Level,
-    exact: Level,
+    before: Float[ndarray, "p q"],
+    exact: Float[ndarray, "p q"],
     plain: Float[ndarray, "p q"],
     on: Surface,
 ) -> Unseen:
@@ -187,7 +246,7 @@ def unseen(
     filter (He et al. 2013), whose lines ``a I + b`` from the picture to the light have slopes of
     0..1 too, places its edges.
     """
-    size, small_size = picture.shape[:2], before.level.shape
+    size, small_size = picture.shape[:2], before.shape
     seen = np.log(np.maximum(picture @ LUMINANCE_WEIGHTS, 0) + DARKEST)
     small = cv2.resize(seen, small_size[::-1], interpolation=cv2.INTER_AREA)
     skin = plain > 0
@@ -195,9 +254,9 @@ def unseen(
     def local(x: Float[ndarray, "p q"], sigma: float = LOCAL) -> Float[ndarray, "p q"]:
         return blurred(x[..., None], plain, sigma * on.face_px)[..., 0]
 
-    middle = float(exact.level[skin].mean())
-    slope = _slope(exact.level[skin], local(small, EXACT)[skin])
-    known = middle + slope * (exact.level - middle)
+    middle = float(exact[skin].mean())
+    slope = _slope(exact[skin], local(small, EXACT)[skin])
+    known = middle + slope * (exact - middle)
     mine, its = local(small), local(known)
     a = (local(small * known) - mine * its) / (local(small**2) - mine**2 + TEXTURE**2)
     a = np.clip(a, 0, 1)
@@ -205,47 +264,15 @@ def unseen(
     radius = max(2, round(EDGE * on.face_px * size[0] / small_size[0]))
     guide = cv2.ximgproc.guidedFilter(float32(seen), float32(seen), radius, PORES**2)
     lines = enlarged(np.dstack([a, b]), plain, size)
-    whole = enlarged(np.dstack([before.level, known]), on.covered, size)
-    inside = cv2.erode(on.bare, np.ones((3, 3), np.uint8))
-    share = resized(cv2.GaussianBlur(inside, (0, 0), EDGE * on.face_px), size)
-    colour, lacking = _unseen_colour(picture, before.colour, plain, on)
-    placed = lines[..., 0] * guide + lines[..., 1]
+    own = resized(filled(before[..., None], on.face)[..., 0], size)
+    own = own - lines[..., 0] * guide - lines[..., 1]
+    wide = on.beyond(cv2.resize(own, small_size[::-1], interpolation=cv2.INTER_AREA))
+    share, wide = (resized(each, size) for each in (on.share(), wide))
     return Unseen(
-        level=whole[..., 0] - share * placed - (1 - share) * whole[..., 1],
-        colour=colour,
-        skin=lacking,
+        level=share * own + (1 - share) * wide,
         slope=slope,
         contrast=float(local(small, EXACT)[skin].std()),
     )
-
-
-def _unseen_colour(
-    picture: Float[ndarray, "h w 3"],
-    colour: Float[ndarray, "p q 3"],
-    plain: Float[ndarray, "p q"],
-    on: Surface,
-) -> tuple[Float[ndarray, "p q 3"], Float[ndarray, "p q 3"]]:
-    """``colour`` and ``skin`` of :class:`Unseen`."""
-    small = cv2.resize(picture, plain.shape[::-1], interpolation=cv2.INTER_AREA)
-    small = np.maximum(small, 0) + np.float32(1e-4)
-    shown = blurred(small, plain, TINT * on.face_px) + np.float32(1e-9)
-    shown = np.log(shown / (shown @ LUMINANCE_WEIGHTS)[..., None])
-    skin = plain > 0
-    slopes = np.array([_slope(colour[skin][:, k], shown[skin][:, k]) for k in range(3)], np.float32)
-    # where no skin shows the colour of light, as on cloth of any colour, nothing tells that it was
-    # there: taken away, it would turn white cream
-    bare = blurred(on.bare[..., None], on.covered, SHARP * on.face_px)
-    hidden = (1 - slopes * bare) * (colour - colour[skin].mean(0))
-    mean = np.log(small[skin].mean(0) / (small[skin].mean(0) @ LUMINANCE_WEIGHTS))
-    near = blurred(small, plain, LOCAL * on.face_px) + np.float32(1e-9)
-    lacks = mean - np.log(near / (near @ LUMINANCE_WEIGHTS)[..., None])
-    # a collar before the neck has none of skin's colour, though it is as bright
-    alike = np.maximum(1 - (lacks**2).sum(2) / CLOTH**2, 0) ** 2
-    dark = np.clip(
-        2 - 2 * (near @ LUMINANCE_WEIGHTS) / float(small[skin].mean(0) @ LUMINANCE_WEIGHTS), 0, 1
-    )
-    share = cv2.GaussianBlur(plain, (0, 0), EDGE * on.face_px) * np.maximum(alike, dark)
-    return hidden, share[..., None] * HUE * np.tanh(lacks / HUE)
 
 
 def _slope(light: Float[ndarray, " n"], picture: Float[ndarray, " n"]) -> float:

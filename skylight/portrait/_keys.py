@@ -9,8 +9,10 @@ the mean colour of all light found::
 g is a lobe of irradiance 1 on what faces it, c a colour of luminance 1, R the mean of the light
 found, and s how many times as bright as the fill the key makes what faces it. B is the mean
 irradiance of what the camera sees of a ball in the sitter's place (:func:`ball_weights`). f leaves
-that ball as bright as the light found has it, as an exposure meter would: a key behind the sitter
-is a bright rim, not a dark face.
+that ball as bright as the light found has it, as an exposure meter would, but that a key behind the
+sitter counts for more (:data:`~skylight.portrait._edge.METERED`), so that its edge is bright and
+the face in shade. Such a key is no part of the map, but an edge (:mod:`skylight.portrait._edge`),
+and its fill is the light found, which models a face that the key does not.
 """
 
 import math
@@ -25,6 +27,7 @@ from skylight.errors import InputError
 from skylight.estimation._kept import FoundLight
 from skylight.inverse._lamp_relighting import lamps_radiance
 from skylight.inverse._result import Lamp
+from skylight.portrait._edge import METERED, EdgeLight, edge_share
 from skylight.portrait._lights import NewLight
 from skylight.portrait._relit import light_in_photo
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -37,12 +40,12 @@ KEYS = MappingProxyType[KeyName, tuple[float, float]](
         "left": (-50.0, 30.0),
         "right": (50.0, 30.0),
         "top": (0.0, 50.0),
-        "rim": (140.0, 35.0),
+        "rim": (140.0, 25.0),
         "front": (0.0, 15.0),
     }
 )
 # Angular diameters in degrees: a softbox or window nearby, a beauty dish, a bare bulb
-SOFT_DEG, USUAL_DEG, HARD_DEG = 40.0, 15.0, 5.0
+SOFT_DEG, USUAL_DEG, HARD_DEG = 40.0, 25.0, 5.0
 NARROWEST_DEG, WIDEST_DEG = 2.0, 120.0  # a lobe narrower than a map's pixels is none; a wall
 KEY_OVER_FILL = 4.0  # s: two stops, as for a portrait with clear light and shade
 
@@ -107,17 +110,28 @@ def key_light(
     whole = light_in_photo(found)
     fill = fill_of(whole)
     level, towards = brightness_of_ball(fill), direction_seen(azimuth_deg, elevation_deg)
-    dimmed = brightness_of_ball(whole) / (level * (1 + strength * float(ball_weights(towards))))
+    behind = edge_share(float(towards[2]))
+    metered = float(ball_weights(towards)) + METERED * behind
+    dimmed = brightness_of_ball(whole) / (level * (1 + strength * metered))
     colour = whole.integrate().double()
     lamp = Lamp(
         direction=towards,
-        irradiance=dimmed * strength * level * colour / luminance(colour),
+        irradiance=(1 - behind) * dimmed * strength * level * colour / luminance(colour),
         # a disc's diameter is four spreads of a lobe: skylight.relight._lamps.disc_diameter_rad
         spread_rad=math.radians(size_deg) / 4,
     )
     lobe = lamps_radiance([lamp], fill.layout[0]).reshape(fill.radiance.shape)
+    x, y, z = towards.tolist()
+    edge = EdgeLight(
+        direction=(x, y, z),
+        strength=behind * strength / (1 + strength * metered),
+        spread_rad=lamp.spread_rad,
+    )
+    own = level / brightness_of_ball(whole)
+    rest = (1 - behind) * fill.radiance + behind * own * whole.radiance
     return NewLight(
-        environment=EnvironmentMap(radiance=dimmed * fill.radiance + lobe.to(fill.radiance))
+        environment=EnvironmentMap(radiance=dimmed * rest + lobe.to(rest)),
+        edge=edge if edge.strength > 0 else None,
     )
 
 

@@ -15,6 +15,7 @@ from skylight.estimation._kept import FoundLight
 from skylight.inverse._lamp_relighting import lamps_radiance
 from skylight.inverse._result import Lamp
 from skylight.io._files import read_environment_map
+from skylight.portrait._edge import EdgeLight
 from skylight.portrait._relit import light_in_photo
 from skylight.relight._lamps import split_main_light, without_lamps
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -28,9 +29,13 @@ ADDED_SUN = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class NewLight:
-    """A full map in the camera's frame and the photograph's units, and what to know of it."""
+    """A full map in the camera's frame and the photograph's units, and what to know of it.
+
+    ``edge`` is a lamp behind the sitter that is not in the map.
+    """
 
     environment: EnvironmentMap
+    edge: EdgeLight | None = None
     notes: tuple[str, ...] = ()
 
 

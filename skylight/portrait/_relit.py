@@ -1,20 +1,23 @@
 """A photograph of a person in another light.
 
 The picture is multiplied by ``exp(G)``, and never divided by anything that it was not lit by: with
-L the level of a light (:class:`~skylight.portrait._gain.Level`) on head, hair and bust, A the light
-found and B the new one ::
+ln L the level of a light (:func:`~skylight.portrait._gain.level_of`) on the face, A the light found
+and B the new one ::
 
-    G = v(m + q bounded(ln L_B - ln L_A + (1 - c) U - m)) + tint,
+    G = v(m + q bounded(C(ln L_B - ln L_A) + (1 - c) U - m)) + tint + s,
 
-m being the mean of ``ln L_B - ln L_A`` over skin, U what of A the picture does not show
+m being the mean of ``ln L_B - ln L_A`` over the face, C what continues a gain beyond the face
+(:meth:`~skylight.portrait._gain.Surface.continued`), U what of A the picture does not show
 (:class:`~skylight.portrait._gain.Unseen`), c what the two lights share, and q below 1 where there
-are doubts. So where the light stays, the picture stays. ``tint`` is the change of the light's
-colour, in wide means. The bound, v and ``tint`` leave white and black what they are
-(:mod:`skylight.portrait._room`).
+are doubts. So where the light stays, the picture stays. ``tint`` is the change of the lights' mean
+colour, one for all of the person, and s what skin gets as it changes
+(:class:`~skylight.portrait._gain.SkinColour`). The bound and v leave white and black what they are
+(:mod:`skylight.portrait._room`). A lamp behind the person adds an edge
+(:mod:`skylight.portrait._edge`).
 
-What no surface covers gets the gain of its surroundings, what lies behind one gain: the ratio of
-the lights' irradiances of vertical surfaces, in the mean over all azimuths. Between the two the
-matte mixes: it is how much of a pixel's light is the person's.
+What lies behind gets one gain: the ratio of the lights' irradiances of vertical surfaces, in the
+mean over all azimuths. Between the two the matte mixes: it is how much of a pixel's light is the
+person's.
 
 All of that is done to what the camera saw: an :class:`~skylight.imaging._edits.Edit` of the
 picture is undone before and done after.
@@ -40,26 +43,26 @@ from skylight.faces._observe import SKIN_SPECULAR, hair_of
 from skylight.faces._segmentation import person_matte
 from skylight.imaging._edits import UNEDITED, Edit
 from skylight.imaging._photo import Photo
+from skylight.portrait._edge import SHEEN, EdgeLight, leaning
 from skylight.portrait._gain import (
     EXACT,
     LUMINANCE_WEIGHTS,
     SHARP,
-    Level,
+    SkinColour,
     Surface,
     Unseen,
     bounded,
-    enlarged,
+    colour_of,
     float32,
+    level_of,
     resized,
     soft_matte,
-    tinted,
     unseen,
 )
 from skylight.portrait._room import (
     above_veil,
     base_of,
     below_white,
-    coloured,
     headroom,
     light_share,
     veil_of,
@@ -73,8 +76,7 @@ from skylight.work._progress import Progress
 # all of over-exposed skin; of the darkest skin a correct specular scale is cut too.
 MOST_SPECULAR = 0.4
 SKIN = (Region.FACE, Region.LIPS, Region.EAR, Region.NECK, Region.BROW)
-PLAIN = (Region.FACE, Region.EAR, Region.NECK)  # of one albedo, about
-BELOW = (Region.NECK, BUST)  # what long hair hangs in front of
+FRONT = (Region.FACE, Region.LIPS, Region.BROW)  # where the model fits
 # Of the old picture: nothing more than is no light, the skin's brightness, or all of the place but
 # where its light comes from.
 Keep = Literal["nothing", "brightness", "place"]
@@ -92,11 +94,12 @@ class Portrait:
     """A photograph taken apart, so that any light can be put in the place of ``found``.
 
     ``scene`` is the photograph before its ``edit``, ``matte`` (h,w) how much of a pixel's light is
-    the person's; ``skin`` (h,w) is how much of it shows skin; ``base`` (h,w), ``veil`` and
-    ``white`` are of :mod:`skylight.portrait._room`. At the pixels of ``person``, ``shading`` and
-    ``specular`` (p,q,3) are S_A and g_A, ``on`` says where they show skin and any surface, and
-    ``known`` where that stands for what the picture shows, as the neck behind long hair does not.
-    ``before`` is L_A, ``unseen`` U, and ``mean`` (3,) the mean S_A of skin. ``albedo`` is that of
+    the person's, and ``leaning`` what :mod:`skylight.portrait._edge` has of its outline; ``bright``
+    is the mean luminance of skin. ``skin`` (h,w) is how much of it shows skin; ``base`` (h,w),
+    ``veil`` and ``white`` are of :mod:`skylight.portrait._room`. At the pixels of ``person``,
+    ``shading`` and ``specular`` (p,q,3) are S_A and g_A, and ``on`` says where they show skin and
+    any surface. ``before`` is ln L_A, ``unseen`` U, ``colour`` gives s, and ``mean`` (3,) is the
+    mean S_A of skin. ``albedo`` is that of
     skin in luminance. ``specular_scale`` is at most that whose mean g_A over skin is
     :data:`MOST_SPECULAR` of the photograph's in each channel. ``strength`` is q, and ``doubts`` say
     why it is below 1.
@@ -111,6 +114,8 @@ class Portrait:
     grey: bool
     albedo: float
     matte: Float[ndarray, "h w"]
+    leaning: Float[ndarray, "p q 2"]
+    bright: float
     base: Float[ndarray, "h w"]
     skin: Float[ndarray, "h w"]
     veil: float
@@ -118,10 +123,10 @@ class Portrait:
     shading: Float[ndarray, "p q 3"]
     specular: Float[ndarray, "p q 3"]
     on: Surface
-    known: Float[ndarray, "p q"]
     mean: Float[ndarray, "3"]
-    before: Level
+    before: Float[ndarray, "p q"]
     unseen: Unseen
+    colour: SkinColour
     strength: float
     doubts: tuple[str, ...]
 
@@ -152,7 +157,13 @@ class Portrait:
         on_skin = np.isin(regions, SKIN) & (hair < 0.5)
         if not on_skin.any():
             raise InputError("the face is turned away or covered: no skin of it can be relit")
-        on = Surface(bare=float32(on_skin), covered=float32(regions >= 0), face_px=person.face_px)
+        front = on_skin & np.isin(regions, FRONT)
+        on = Surface(
+            bare=float32(on_skin),
+            face=float32(front if front.any() else on_skin),
+            covered=float32(regions >= 0),
+            face_px=person.face_px,
+        )
         mean, shine, shown = (on.mean(each) for each in (shading, specular, small))
         most = min(1.0, float((MOST_SPECULAR * shown / np.maximum(shine, 1e-12)).min()))
         specular = most * specular
@@ -160,13 +171,16 @@ class Portrait:
             (shown - most * shine) @ LUMINANCE_WEIGHTS / max(mean @ LUMINANCE_WEIGHTS, 1e-12)
         )
         albedo = max(albedo, _BLACKEST)
-        before, exact = (Level.of(shading, specular / albedo, on, x) for x in (SHARP, EXACT))
-        plain = np.isin(regions, PLAIN) & on_skin
-        hidden = unseen(picture, before, exact, float32(plain) if plain.any() else on.bare, on)
+        before, exact = (level_of(shading, specular / albedo, on, x) for x in (SHARP, EXACT))
+        plain = on_skin & (regions == Region.FACE)
+        plain = float32(plain) if plain.any() else on.face
+        hidden = unseen(picture, before, exact, plain, on)
         head = float32((regions >= 0) & (regions != BUST))
         doubts = _doubts(small[on_skin], found, hidden)
         face_px = person.face_px * len(picture) / len(regions)  # in the picture's pixels
         cut = soft_matte(picture, float32(matte), head, person.face_px)
+        base = base_of(picture, white, face_px)
+        small_base = cv2.resize(base, small.shape[1::-1], interpolation=cv2.INTER_AREA)
         return Portrait(
             photo=float32(photo.numpy()),
             edit=edit,
@@ -177,58 +191,73 @@ class Portrait:
             grey=grey,
             albedo=albedo,
             matte=light_share(picture, cut, face_px),
-            base=base_of(picture, white, face_px),
-            skin=resized(cv2.GaussianBlur(on.bare, (0, 0), SHARP * on.face_px), picture.shape[:2]),
+            leaning=leaning(cut, shading.shape[:2], person.face_px),
+            bright=float(shown @ LUMINANCE_WEIGHTS),
+            base=base,
+            skin=resized(
+                # wholly to its border: so the face's own is not bounded as hair is
+                np.minimum(2 * cv2.GaussianBlur(on.bare, (0, 0), SHARP * on.face_px), 1),
+                picture.shape[:2],
+            ),
             veil=veil_of(picture, white),
             white=white,
             shading=shading,
             specular=specular,
             on=on,
-            known=on.covered * ~(np.isin(regions, BELOW) & (hair > 0.5)),
             mean=mean,
             before=before,
             unseen=hidden,
+            colour=SkinColour.of(small, small_base, plain, on),
             strength=_DOUBTED ** len(doubts),
             doubts=doubts,
         )
 
     def under(
-        self, light: EnvironmentMap, exposure: float = 1.0, *, keep: Keep = "nothing"
+        self,
+        light: EnvironmentMap,
+        exposure: float = 1.0,
+        *,
+        keep: Keep = "nothing",
+        edge: EdgeLight | None = None,
     ) -> tuple[Float[ndarray, "h w 3"], float]:
         """The photograph in another light times an exposure, linear, and that exposure.
 
         ``keep``: "brightness" multiplies ``exposure`` by what leaves the mean shading of skin as
         bright as it was. "place", of the light found but moved: white is balanced so that skin
         keeps its mean colour, and what lies behind is not relit. Neither can be had of
-        light that does not reach the skin, which is shown as it is.
+        light that does not reach the skin, which is shown as it is. ``edge`` is a lamp behind the
+        person, which lights the outline.
         """
         size = (self.scene.shape[0], self.scene.shape[1])
         shading, specular = self.shaded_by(light)
         received = self.on.mean(shading)
-        after = Level.of(shading, specular / self.albedo, self.on)
-        gain, tint = after.level - self.before.level, after.colour - self.before.colour
+        gain = level_of(shading, specular / self.albedo, self.on) - self.before
+        cast = colour_of(received) - colour_of(self.mean)
         factor = 1.0
         if keep == "brightness" and received.any():
             factor = float(self.mean @ LUMINANCE_WEIGHTS / (received @ LUMINANCE_WEIGHTS))
         if keep == "place" and received.all():
-            tint = tint - self.on.mean(tint)
+            cast = np.zeros_like(cast)
         other = 1 - shared_light(self.found, light)
-        typical = float(self.on.mean(gain[..., None])[0])
-        changed = gain + math.log(factor)
-        cast = self.on.mean(tint)
-        tint = tinted(tint + other * self.unseen.colour, changed, self.unseen.skin, self.on)
-        large = enlarged(np.dstack([tint, gain]), self.known, size)
-        gain = large[..., 3] + other * self.unseen.level - typical
+        typical = float(gain[self.on.face > 0].mean())
+        gain = resized(self.on.continued(gain), size) + other * self.unseen.level - typical
         usual = typical + math.log(factor)
-        gain = below_white(gain, self.base, self.skin)
-        level = self.strength * bounded(gain, headroom(self.base, usual)) + usual
+        most, least = headroom(self.base, usual, self.skin)
+        level = self.strength * bounded(gain, most, least) + usual
         level = above_veil(level, self.base, self.skin, self.veil, usual)
-        tint = cast + coloured(self.base)[..., None] * (large[..., :3] - cast)
+        level = below_white(level, self.base, self.skin)
+        tint = cast + self.colour.change(level - usual, self.base)
         behind = np.ones(3, np.float32)
         if keep != "place":
             behind = np.maximum(factor * self._behind(light), 1e-9)
         within = self.matte[..., None]
         picture = self.scene * (within * np.exp(tint + level[..., None]) + (1 - within) * behind)
+        if edge is not None:
+            sent = within**2 * edge.on(resized(self.leaning, size))[..., None]
+            room = (1 - np.exp(self.base))[..., None]  # so that white stays as it is
+            shown = np.maximum(self.scene @ LUMINANCE_WEIGHTS, 0)[..., None]
+            sheen = SHEEN * np.sqrt(self.bright * shown)
+            picture = picture + room * sent * (self.scene + sheen)
         # what an edit made black is not known again: where nothing changed, nothing changes
         picture = self._edited(picture) + (self.photo - self._edited(self.scene))
         return exposure * np.maximum(picture, 0), exposure * factor

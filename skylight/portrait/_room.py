@@ -17,6 +17,7 @@ from skylight.imaging._colour import srgb_to_linear
 from skylight.imaging._photo import Photo
 from skylight.portrait._gain import (
     BRIGHTER,
+    DARKER,
     DARKEST,
     EDGE,
     LUMINANCE_WEIGHTS,
@@ -27,7 +28,10 @@ from skylight.portrait._gain import (
 
 VEILING = 0.02  # stray light over the picture's mean: glare of usual lenses is 1 to 3 % (ISO 9358)
 LEAST_ROOM = 0.05  # logarithm: what white may still become brighter by, and is rolled off
-SHOULDER, EDGE_OF_WHITE = 0.3, 0.08  # of white, below it: where codes lose colour, and brightness
+SHORT = 0.15  # logarithm: where skin near white has neither colour nor shape
+EDGE_OF_WHITE = 0.08  # of white, below it: where codes lose brightness
+OVER = 1.0  # logarithm: how much brighter than white a white place may have been
+OTHER_BRIGHTER, OTHER_DARKER = 0.35, 0.7  # logarithms: half a stop and one, of hair and clothes
 _MIDDLE = 20, 230  # codes that are neither dark nor clipped
 _ROUNDED = 0.05  # what codes and gammas may differ by
 # of a face's height, how far a person's colour is looked for; and its matte
@@ -58,22 +62,28 @@ def veil_of(picture: Float[ndarray, "h w 3"], white: float) -> float:
     return VEILING * float((np.clip(picture / white, 0, 1) @ LUMINANCE_WEIGHTS).mean())
 
 
-def headroom(base: Float[ndarray, "h w"], typical: float) -> Float[ndarray, "h w"]:
-    """How much brighter than with a ``typical`` gain a place may become, a logarithm: to white, and
-    by :data:`~skylight.portrait._gain.BRIGHTER`, in all where the typical gain is below 0.
+def headroom(
+    base: Float[ndarray, "h w"], typical: float, skin: Float[ndarray, "h w"]
+) -> tuple[Float[ndarray, "h w"], Float[ndarray, "h w"]]:
+    """How much brighter and darker than with a ``typical`` gain a place may become, logarithms.
+
+    Brighter to :data:`SHORT` of white, and by :data:`~skylight.portrait._gain.BRIGHTER`, in all
+    where the typical gain is below 0. What is no ``skin``, whose shape is not known, by less both
+    ways.
     """
-    most = BRIGHTER - min(typical, 0.0)
-    return np.clip(-base - np.float32(typical), LEAST_ROOM, most)
+    most = skin * (BRIGHTER - min(typical, 0.0)) + (1 - skin) * np.float32(OTHER_BRIGHTER)
+    least = skin * np.float32(DARKER) + (1 - skin) * np.float32(OTHER_DARKER)
+    return np.clip(-base - np.float32(typical + SHORT), LEAST_ROOM, most), least
 
 
 def below_white(
     gain: Float[ndarray, "h w"], base: Float[ndarray, "h w"], skin: Float[ndarray, "h w"]
 ) -> Float[ndarray, "h w"]:
-    """A gain that makes nothing darker that was white: how bright it was is lost, and a darker
-    white is a grey patch. ``skin``, whose shape is known, is made darker all the same.
+    """A gain that makes what was white darker by :data:`OVER` less, for it was brighter than that:
+    a darker white is a grey patch. ``skin``, whose shape is known, is made darker all the same.
     """
-    known = np.clip((1 - np.exp(base)) / EDGE_OF_WHITE, 0, 1)
-    return np.maximum(gain, 0) + (known + (1 - known) * skin) * np.minimum(gain, 0)
+    lost = (1 - skin) * np.clip(1 - (1 - np.exp(base)) / EDGE_OF_WHITE, 0, 1)
+    return np.maximum(gain, 0) + np.minimum(np.minimum(gain, 0) + np.float32(OVER) * lost, 0)
 
 
 def above_veil(
@@ -93,11 +103,6 @@ def above_veil(
     lit = 1 - (1 - skin) * np.minimum(np.float32(veil) * np.exp(-base), 1)
     rise = np.log1p(np.expm1(np.maximum(gain - usual, 0)) * lit)
     return np.minimum(gain, usual) + rise
-
-
-def coloured(base: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
-    """How much of a change of colour a place takes: none at white, whose own colour is lost."""
-    return np.clip((1 - np.exp(base)) / SHOULDER, 0, 1)
 
 
 def light_share(

@@ -13,8 +13,9 @@ from skylight.errors import InputError
 from skylight.faces._model import Region
 from skylight.faces._observe import SKIN_SPECULAR
 from skylight.imaging._edits import UNEDITED, Edit
-from skylight.portrait._gain import BRIGHTER, DARKER, TINTED, Level, bounded, soft_matte
+from skylight.portrait._gain import BRIGHTER, DARKER, HUE, bounded, level_of, soft_matte
 from skylight.portrait._relit import MOST_SPECULAR, Keep, Portrait, shared_light, upright_irradiance
+from skylight.portrait._room import OTHER_BRIGHTER, OTHER_DARKER
 from skylight.portrait._surface import BUST, PersonSurface, Shading, scaled, softened
 from skylight.sphere._envmap import LUMINANCE, EnvironmentMap
 from skylight.transport._reflection import specular_lobe
@@ -138,7 +139,7 @@ def test_a_person_of_the_model_is_relit_as_the_model_is(keep: Keep) -> None:
     old, new = sunny(50.0, 45.0), sunny(-60.0, 35.0)
     picture, exposure = of_the_model(old).under(new, keep=keep)
     want = exposure * image(new)
-    inner = on_skin()
+    inner = person().region_image() == Region.FACE
     error = np.abs(picture - want)[inner].mean() / want[inner].mean()
     unchanged = np.abs(image(old) * exposure - want)[inner].mean() / want[inner].mean()
     assert error < 0.1  # shading is smoothed by 2 % of the face's height, and gains are bounded
@@ -211,18 +212,39 @@ def test_what_the_limit_of_specular_reflection_costs_the_darkest_skin() -> None:
     assert error < 0.15  # 0.27 where nothing is relit
 
 
-def test_the_bust_gets_the_ratio_of_smoothed_shadings() -> None:
-    """Of clothes as even as the model's own, deep inside the bust: the new shading itself."""
-    old, new = even(0.4), sunny(180.0, 50.0)  # from behind the camera
-    picture, _ = of_the_model(old).under(new)
-    inner = cv2.erode((person().region_image() == BUST).astype(np.uint8), np.ones((3, 3))) > 0
-    assert inner.sum() > 5
-    lit, want = picture[inner].mean(0), image(new)[inner].mean(0)
-    before = image(old)[inner].mean(0)
-    assert (want > 1.4 * before).all()
-    # with a base, smoothed over the border, and bounded
-    assert (lit > before + 0.5 * (want - before)).all()
-    assert (lit < 1.05 * want).all()
+def test_neck_and_clothes_follow_the_face() -> None:
+    """In light from the left as well as from the right: brighter on that side, and by less."""
+    old = even(0.4)
+    deep = cv2.erode((person().region_image() == BUST).astype(np.uint8), np.ones((3, 3))) > 0
+    columns = np.indices(deep.shape)[1]
+    for azimuth, sign in ((-120.0, -1), (120.0, 1)):
+        picture, _ = of_the_model(old).under(sunny(azimuth, 60.0), keep="brightness")
+        gain = np.log((picture @ LUMINANCE_ + 1e-6) / (image(old) @ LUMINANCE_ + 1e-6))
+        slopes = [
+            np.polyfit(columns[where], gain[where], 1)[0]
+            for where in (on_skin(), person().region_image() == Region.NECK, deep)
+        ]
+        assert all(sign * slope > 0.002 for slope in slopes)
+        # bounded about the mean of the face, which is near 0
+        assert gain[deep].max() < OTHER_BRIGHTER + 0.3
+        assert gain[deep].min() > -OTHER_DARKER - 0.3
+
+
+def test_what_is_known_of_the_face_is_continued_smoothly() -> None:
+    """A constant stays one, the face keeps its own, and far away no edge is left."""
+    on = of_the_model(even()).on
+    flat = np.full(on.face.shape, 0.3, np.float32)
+    np.testing.assert_allclose(on.continued(flat), 0.3, atol=1e-4)
+    columns = np.indices(on.face.shape)[1].astype(np.float32)
+    middle = columns[on.face > 0].mean()
+    sides = np.where(on.face > 0, np.sign(columns - middle), 9).astype(np.float32)
+    whole = on.continued(sides)
+    inner = cv2.erode(on.face, np.ones((5, 5), np.uint8)) > 0
+    np.testing.assert_allclose(whole[inner], sides[inner], atol=0.1)
+    away = cv2.dilate(on.face, np.ones((9, 9), np.uint8)) == 0
+    steps = np.abs(np.diff(whole, axis=1))[away[:, 1:] & away[:, :-1]]
+    assert np.abs(whole)[away].max() < 1.01  # what lay beside the face is not taken
+    assert steps.max() < 0.2 < np.abs(np.diff(sides[inner.any(1)], axis=1)).max()
 
 
 def hard(azimuth_deg: float) -> EnvironmentMap:
@@ -259,11 +281,11 @@ def test_gains_are_bounded_above_the_photograph_and_below_their_mean() -> None:
     picture, _ = one.under(lamp)
     gain = np.log((picture[on_skin()] @ LUMINANCE_) / (seen[on_skin()] @ LUMINANCE_))
     shading, specular = one.shaded_by(lamp)
-    level = Level.of(shading, specular / one.albedo, one.on).level - one.before.level
-    mean = float(one.on.mean(level[..., None])[0])
+    level = level_of(shading, specular / one.albedo, one.on) - one.before
+    mean = float(level[one.on.face > 0].mean())
     assert mean < -0.5
-    assert gain.max() < BRIGHTER + TINTED
-    assert gain.min() > mean - DARKER - TINTED
+    assert gain.max() < BRIGHTER + 0.1  # and a change of colour
+    assert gain.min() > mean - DARKER - 0.1
     assert np.ptp(gain) > 1  # and there is something to bound
     x = np.linspace(-0.1, 0.1, 5, dtype=np.float32)
     np.testing.assert_allclose(bounded(x), x, atol=1e-3)
@@ -293,43 +315,57 @@ def test_a_white_collar_is_not_taken_for_grey_skin() -> None:
     neck = (person().region_image() == Region.NECK).astype(np.uint8)
     collar = cv2.erode(neck, np.ones((5, 5), np.uint8)) > 0
     assert collar.sum() > 50
-    lacks: list[float] = []
-    for level in (1.0, 0.1):
-        seen = image(light)
-        bright = float(np.median(seen[on_skin()] @ LUMINANCE_))
-        seen[neck > 0] = level * bright
-        lacks.append(float(np.abs(portrait(light, seen).unseen.skin[collar]).mean()))
-    assert lacks[0] < 0.04  # of cloth
-    assert lacks[1] > 0.08  # and of skin that lies in shadow
+    seen = image(light)
+    assert portrait(light, seen).colour.alike[collar].mean() > 0.8
+    seen[neck > 0] = float(np.median(seen[on_skin()] @ LUMINANCE_))
+    assert portrait(light, seen).colour.alike[collar].mean() < 0.2
 
 
-def test_cloth_beside_skin_keeps_its_colour() -> None:
-    """What a place lacks of the light's mean colour is not made up for where no skin shows it."""
+def test_highlights_without_colour_get_that_of_skin_as_they_get_darker() -> None:
+    """What is near white is grey where it is only made darker; by a bounded change, none unlit."""
+    old = hard(120.0)
+    seen = image(old)
+    face = person().region_image() == Region.FACE
+    bright = (seen @ LUMINANCE_ > np.quantile(seen[face] @ LUMINANCE_, 0.85)) & face
+    pale = seen.copy()
+    pale[bright] = 0.8 * (pale[bright] + (pale[bright] @ LUMINANCE_)[:, None])  # and brighter
+    one = portrait(old, pale)
+    picture, _ = one.under(hard(-120.0), keep="place")
+
+    def red(of: np.ndarray) -> float:
+        return float(np.log(of[bright][:, 0] / of[bright][:, 2]).mean())
+
+    assert red(pale) < red(seen) - 0.2
+    assert red(pale) + 0.5 * (red(seen) - red(pale)) < red(picture) < red(seen) + 0.1
+    assert np.abs(one.colour.lacks).max() <= HUE
+
+
+def test_cloth_keeps_its_colour_where_the_place_stays() -> None:
     red = EnvironmentMap(radiance=even(0.3).radiance * torch.tensor([0.6, 1.0, 1.6]))
     light = red.with_light(direction(60.0, 60.0), torch.tensor([3.0, 2.0, 1.0]))
     one = portrait(light, image(light))
-    away = cv2.dilate(one.on.bare, np.ones((5, 5), np.uint8)) == 0
+    picture, _ = one.under(sunny(-60.0, 60.0), keep="place")
+    away = cv2.dilate(one.on.bare, np.ones((7, 7), np.uint8)) == 0
     cloth = (person().region_image() == BUST) & away
     assert cloth.sum() > 10
-    varies = one.before.colour - one.on.mean(one.before.colour)
-    assert np.abs(varies[cloth]).mean() > 0.02
-    off = one.unseen.colour[cloth] - varies[cloth]
-    assert np.abs(off).mean() < 0.1 * np.abs(varies[cloth]).mean()
+    ratio = picture[cloth] / image(light)[cloth]
+    np.testing.assert_allclose(ratio, ratio.mean(1, keepdims=True) * np.ones(3), rtol=1e-3)
+    assert np.abs(np.log(ratio)).max() > 0.1
 
 
 def test_a_key_light_leaves_what_is_black_and_what_is_white() -> None:
-    """Clothes at the camera's black and at white, in more light than skin gets in the mean."""
-    old, new = even(0.4), sunny(0.0, 5.0)
+    """Clothes at the camera's black and at white, below a face that is lit from below."""
+    old, new = even(0.4), sunny(180.0, 130.0)
     cloth = cv2.erode((person().region_image() == BUST).astype(np.uint8), np.ones((3, 3))) > 0
-    most: list[float] = []
+    gains: list[np.ndarray] = []
     for level in (0.002, 0.1, 0.97):
         seen = image(old)
         seen[cloth] = level
         picture, _ = portrait(old, seen).under(new, keep="brightness")
-        most.append(float(picture[cloth].max()) / level)
-    assert most[1] > 1.3
-    assert most[0] < 1 + 0.3 * (most[1] - 1)
-    assert most[2] < 1.06
+        gains.append(picture[cloth] / level)
+    assert gains[1].max() > 1.1
+    assert gains[0].max() < 1 + 0.3 * (gains[1].max() - 1)
+    assert gains[2].max() < 1.06
 
 
 def test_what_cannot_be_relit_is_relit_weaker_and_said() -> None:

@@ -5,14 +5,17 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from skylight.portrait._gain import BRIGHTER, DARKEST, bounded
+from skylight.portrait._gain import BRIGHTER, DARKER, DARKEST, bounded
 from skylight.portrait._room import (
     LEAST_ROOM,
+    OTHER_BRIGHTER,
+    OTHER_DARKER,
+    OVER,
+    SHORT,
     VEILING,
     above_veil,
     base_of,
     below_white,
-    coloured,
     headroom,
     light_share,
     veil_of,
@@ -31,10 +34,12 @@ def test_a_key_light_drives_nothing_above_white(
     brightness: float, gain: float, typical: float
 ) -> None:
     base = np.log(one(brightness))
-    level = typical + float(bounded(one(gain), headroom(base, typical))[0, 0])
     least = max(0.0, np.log(brightness) + typical)  # what the mean change itself does
-    assert np.log(brightness) + level <= least + LEAST_ROOM + 1e-5
-    assert level <= BRIGHTER + max(typical, 0.0) + LEAST_ROOM + 1e-5
+    for skin, own, down in ((1, BRIGHTER, DARKER), (0, OTHER_BRIGHTER, OTHER_DARKER)):
+        level = typical + float(bounded(one(gain), *headroom(base, typical, one(skin)))[0, 0])
+        assert np.log(brightness) + level <= max(least, -SHORT) + LEAST_ROOM + 1e-5
+        assert level <= own + max(typical, 0.0) + LEAST_ROOM + 1e-5
+        assert level >= typical - down - 1e-5
 
 
 @given(brightness=BRIGHTNESS, gain=GAINS, typical=st.floats(-1, 1))
@@ -62,19 +67,19 @@ def test_the_veil_is_a_part_of_the_mean_light() -> None:
     assert veil_of(100 * picture, 1.0) == pytest.approx(0.5 * VEILING)  # the sun is cut off
 
 
-def test_white_stays_white_and_takes_no_colour() -> None:
+def test_white_stays_white_until_it_is_a_stop_and_a_half_darker() -> None:
     base, gain = (
-        np.log(np.array([[1.0, 0.95, 0.9, 0.5]], np.float32)),
-        np.full((1, 4), -1, np.float32),
+        np.log(np.array([[1.0, 0.96, 0.9, 0.5]], np.float32)),
+        np.full((1, 4), -0.8, np.float32),
     )
     none, all_ = np.zeros_like(gain), np.ones_like(gain)
     darker = below_white(gain, base, none)[0]
     assert darker[0] == 0
-    assert -1 < darker[1] < 0
-    np.testing.assert_allclose(darker[2:], -1)
+    assert -0.8 < darker[1] < 0
+    np.testing.assert_allclose(darker[2:], -0.8)
+    assert below_white(2 * gain, base, none)[0, 0] == pytest.approx(OVER - 1.6)
     np.testing.assert_array_equal(below_white(-gain, base, none), -gain)
     np.testing.assert_array_equal(below_white(gain, base, all_), gain)
-    np.testing.assert_allclose(coloured(base)[0], [0, 1 / 6, 1 / 3, 1], rtol=1e-5)
 
 
 def test_the_base_has_edges_and_no_texture() -> None:

@@ -24,7 +24,8 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
+from numpy import ndarray
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -37,6 +38,7 @@ from skylight.imaging._colour import linear_to_srgb
 from skylight.imaging._photo import Photo
 from skylight.io._bounded import json_content, write_json
 from skylight.io._tensors import write_tensors
+from skylight.portrait._edge import BEHIND, GRAZING, METERED, SHEEN
 from skylight.portrait._files import KNEE
 from skylight.portrait._gain import (
     BASE,
@@ -44,11 +46,11 @@ from skylight.portrait._gain import (
     DARKER,
     DARKEST,
     LUMINANCE_WEIGHTS,
+    NEAR,
+    REACH,
     SHARP,
     SHINE,
-    SOFT,
-    TINT,
-    TINTED,
+    SOON,
 )
 from skylight.portrait._keys import (
     KEY_OVER_FILL,
@@ -63,9 +65,15 @@ from skylight.portrait._relit import (
     light_in_photo,
     portrait_of,
 )
-from skylight.portrait._room import EDGE_OF_WHITE, LEAST_ROOM, SHOULDER
+from skylight.portrait._room import (
+    EDGE_OF_WHITE,
+    LEAST_ROOM,
+    OTHER_BRIGHTER,
+    OTHER_DARKER,
+    OVER,
+    SHORT,
+)
 from skylight.portrait._surface import scaled
-from skylight.sphere._envmap import luminance
 from skylight.studio.tasks._uploads import open_photo
 from skylight.work._progress import StageProgress
 from skylight.work._threads import cores
@@ -140,7 +148,9 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     :func:`~skylight.portrait._relit.coarse_power`; ``found_map`` is to be looked at. ``occlusion``
     and ``fill_gloss`` are S_0 and g_0 in luminance, over ``fill``, which is how bright the fill R
     of :mod:`skylight.portrait._keys` makes the ball, as ``ball`` is how bright the light found
-    does. c is ``colour``.
+    does.
+    ``share`` is :meth:`~skylight.portrait._gain.Surface.share` of the crop, ``outline`` how its
+    outline leans (:mod:`skylight.portrait._edge`) and how far it has the colour of skin.
     """
     surface, fill = portrait.person.surface, fill_of(portrait.found)
     level = brightness_of_ball(fill)
@@ -149,19 +159,19 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     )
     rows, columns = np.nonzero(portrait.on.covered)  # row by row, as the surface has them
     left, top, width, height = _crop(portrait)
+
+    def within(image: Float[ndarray, "p q *c"]) -> Float[ndarray, "k l *c"]:
+        return np.ascontiguousarray(image[top : top + height, left : left + width])
+
     codes = (linear_to_srgb(torch.from_numpy(portrait.photo).clamp(0, 1)) * 255).round()
     matte = torch.from_numpy(portrait.matte * 255).round()
-    colour = portrait.found.integrate().double()
-    colour = torch.ones(3) if portrait.grey else colour / luminance(colour)
     of_points = {
         "shading": portrait.shading,
         "glossy": portrait.specular,
         "occlusion": fill_shading,
         "fill_gloss": fill_specular,
-        "unseen_tint": portrait.unseen.colour,
-        "skin_tint": portrait.unseen.skin,
         "bare": portrait.on.bare,
-        "known": portrait.known,
+        "face": portrait.on.face,
     }
     marks = np.dstack(
         [
@@ -173,6 +183,8 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     tensors = {
         "picture": torch.cat([codes, matte[..., None]], 2).to(torch.uint8),
         "marks": torch.from_numpy(marks.round().clip(0, 255)).to(torch.uint8),
+        "share": torch.from_numpy(within(portrait.on.share())),
+        "outline": torch.from_numpy(within(np.dstack([portrait.leaning, portrait.colour.alike]))),
         "places": torch.from_numpy((rows - top) * width + columns - left).int(),
         "normals": portrait.person.normals.float(),
         "views": -normalize(surface.positions, dim=1).float(),
@@ -190,21 +202,28 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "crop": [left, top, width, height],
         "keys": dict(KEYS),
         "usual": {"size_deg": USUAL_DEG, "strength": KEY_OVER_FILL},
-        "colour": colour.tolist(),
         "fill": level,
         "ball": brightness_of_ball(portrait.found),
         "gloss": portrait.specular_scale,
         "lobe": {"f0": SKIN_SPECULAR.f0, "alpha": SKIN_SPECULAR.alpha},
-        "sigmas_px": [x * portrait.on.face_px for x in (SHARP, SOFT, TINT)],
+        "sigmas_px": [x * portrait.on.face_px for x in (SHARP, REACH)],
+        "near": NEAR,
         "base": BASE,
         "shine": SHINE / portrait.albedo,
         "most": [BRIGHTER, DARKER],
         "darkest": math.log(DARKEST),
         "veil": portrait.veil,
         "least_room": LEAST_ROOM,
-        "shoulder": SHOULDER,
+        "short": SHORT,
         "edge_of_white": EDGE_OF_WHITE,
-        "tinted": TINTED,
+        "over": OVER,
+        "other_most": [OTHER_BRIGHTER, OTHER_DARKER],
+        "lacks": portrait.colour.lacks.tolist(),
+        "soon": SOON,
+        "behind": BEHIND,
+        "metered": METERED,
+        "grazing": GRAZING,
+        "sheen": SHEEN * math.sqrt(portrait.bright),
         "unseen": _UNSEEN,
         "doubted": portrait.strength,
         "knee": KNEE,

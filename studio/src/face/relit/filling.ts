@@ -153,7 +153,8 @@ function meanFilled(picture: Float32Array, known: Float32Array, channels: number
 /** Gaussian means over some cells of a grid, each over the weight of the cells near it. */
 export class Blur {
   private readonly kernel: Float32Array;
-  private readonly below: Float32Array;
+  /** The weight of the cells near each. */
+  readonly below: Float32Array;
   private readonly scratch = new Scratch();
 
   constructor(

@@ -20,12 +20,20 @@ export interface Grid {
 
 /** What a new light changes, in logarithms; until the next light. */
 export interface Lit {
-  /** Of colour (three numbers a cell) and of level. */
+  /** Of level, one number a cell. */
   gain: Float32Array;
-  /** The mean change of level over skin. */
+  /** The mean change of level over the face. */
   typical: number;
+  edge: Edge;
   /** How much of the light is that of the photograph. */
   common: number;
+}
+
+/** A lamp behind the sitter: skylight.portrait._edge.EdgeLight. */
+export interface Edge {
+  direction: Vec3;
+  strength: number;
+  spreadRad: number;
 }
 
 /** Some of the directions that points see or not, by pixel; a surface that faces it receives 1 of their weights. */
@@ -85,16 +93,12 @@ export class KeyLight {
   private readonly cell: Int32Array;
   private readonly filling: Filling;
   private readonly sharp: Blur;
-  private readonly soft: Blur;
-  private readonly tint: Blur;
-  /** How much of a cell is skin, in itself and with its neighbours. */
-  private readonly bare: Float32Array;
-  private readonly skin: Float32Array;
-  private readonly unseenTint: Float32Array;
-  private readonly skinTint: Float32Array;
-  /** skylight.portrait._gain.Level of the light found, and its colour (three numbers a cell). */
+  private readonly reach: Blur;
+  /** How many pixels of a cell are the face's; and how much of the cell is, with a soft border. */
+  private readonly face: Float32Array;
+  private readonly share: Float32Array;
+  /** skylight.portrait._gain.level_of the light found. */
   private readonly before: Float32Array;
-  private readonly colour: Float32Array;
 
   constructor(private readonly person: Person) {
     const { facts, places, shading, glossy } = person;
@@ -102,19 +106,17 @@ export class KeyLight {
     const grid = { left, top, width: (width + 1) >> 1, height: (height + 1) >> 1, step: 2 };
     this.grid = grid;
     this.cell = places.map((place) => ((Math.floor(place / width) >> 1) * grid.width) + ((place % width) >> 1));
-    const counts = this.summed(new Float32Array(places.length).fill(1), 1);
-    const blurs = facts.sigmas_px.map((sigma) => new Blur(grid.width, grid.height, counts, sigma / grid.step));
-    [this.sharp, this.soft, this.tint] = blurs as [Blur, Blur, Blur];
-    const known = this.summed(person.known, 1);
-    this.filling = new Filling(known.map((sum, i) => sum / Math.max(counts[i]!, 1)), grid.width, grid.height);
-    this.bare = this.summed(person.bare, 1);
-    this.skin = this.sharp.of(this.bare).slice();
-    const mean3 = (values: Float32Array): Float32Array =>
-      this.summed(values, 3).map((sum, i) => sum / Math.max(counts[Math.floor(i / 3)]!, 1));
-    this.unseenTint = mean3(person.unseenTint);
-    this.skinTint = mean3(person.skinTint);
-    this.colour = this.colourOf(shading);
-    this.before = this.levelOf(luminances(shading), luminances(glossy)).level;
+    this.face = this.summed(person.face);
+    const blurs = facts.sigmas_px.map((sigma) => new Blur(grid.width, grid.height, this.face, sigma / grid.step));
+    [this.sharp, this.reach] = blurs as [Blur, Blur];
+    const pixels = grid.step ** 2;
+    const near = this.reach.below.map((weight) => Math.min(weight / pixels / facts.near, 1));
+    this.filling = new Filling(near, grid.width, grid.height);
+    this.share = new Float32Array(grid.width * grid.height);
+    person.share.forEach((share, at) => {
+      this.share[(Math.floor(at / width) >> 1) * grid.width + ((at % width) >> 1)]! += share / pixels;
+    });
+    this.before = this.levelOf(luminances(shading), luminances(glossy));
   }
 
   /** `sum_w g(w) V(w) <n, w>+ dw / pi` at each point, and as much of the gloss; two numbers a point. */
@@ -164,67 +166,53 @@ export class KeyLight {
   under(azimuthDeg: number, zenithDeg: number, strength: number, sizeDeg: number): Lit {
     const { facts, occlusion, fillGloss } = this.person;
     const towards = fromAngles(azimuthDeg, zenithDeg);
-    const dimmed = facts.ball / (facts.fill * (1 + strength * ballWeight(towards)));
+    const behind = Math.min(Math.max(towards[2] / facts.behind, 0), 1);
+    const metered = ballWeight(towards) + facts.metered * behind;
+    const dimmed = facts.ball / (facts.fill * (1 + strength * metered));
+    const before = strength * (1 - behind);
     // a disc's diameter is four spreads of a lobe
     const from = lobe(towards, (sizeDeg * Math.PI) / 180 / 4);
     const transport = this.transport(from);
-    // fill and key are of one colour, so all that they light is
-    const lightOf = (ofFill: Float32Array, offset: number): Float32Array =>
-      ofFill.map((share, i) => dimmed * facts.fill * (share + strength * transport[2 * i + offset]!));
-    const after = this.levelOf(lightOf(occlusion, 0), lightOf(fillGloss, 1));
-    const level = after.level.map((value, i) => value - this.before[i]!);
-    const common = this.common(from, dimmed, strength);
-    const ours = facts.colour.map((value) => Math.log(Math.max(value, 1e-3)));
-    const colour = this.colour.map((value, i) => ours[i % 3]! - value);
-    // white is balanced so that skin keeps its mean colour: it is the same place
-    const isBalanced = after.mean > 0;
-    const cast = this.meanOfCells(colour, 3);
-    const shift = this.meanOfCells(this.unseenTint, 3).map((value) => (1 - common) * value);
-    const gain = new Float32Array(4 * level.length);
-    for (let i = 0; i < level.length; i++) {
-      for (let k = 0; k < 3; k++) {
-        const mean = (isBalanced ? 0 : cast[k]!) + shift[k]!;
-        const own = colour[3 * i + k]! - (isBalanced ? cast[k]! : 0) + (1 - common) * this.unseenTint[3 * i + k]!;
-        const near = mean + facts.tinted * Math.tanh((own - mean) / facts.tinted);
-        gain[4 * i + k] = near + (1 - Math.exp(-Math.abs(level[i]!))) * this.skinTint[3 * i + k]!;
-      }
-      gain[4 * i + 3] = level[i]!;
-    }
-    return { gain: this.filling.fill(gain, 4), typical: this.meanOfCells(level, 1)[0]!, common };
-  }
-
-  /** Of luminances of shading and gloss, one number a point; and the mean shading of skin. */
-  private levelOf(shading: Float32Array, glossy: Float32Array): { level: Float32Array; mean: number } {
-    const { base, shine } = this.person.facts;
-    const mean = this.meanOnSkin(shading);
-    const whole = this.summed(shading.map((value, i) => value + shine * glossy[i]!), 1);
-    const near = this.sharp.of(whole);
-    const far = this.soft.of(whole);
-    const level = near.map((value, i) => {
-      const skin = this.skin[i]!;
-      return Math.log(Math.max(skin * value + (1 - skin) * far[i]! + base * mean, 1e-9));
+    const lightOf = (ofFill: Float32Array, ofFound: Float32Array, offset: number): Float32Array =>
+      ofFill.map((share, i) => {
+        const rest = (1 - behind) * share + (behind * ofFound[i]!) / facts.ball;
+        return dimmed * facts.fill * (rest + before * transport[2 * i + offset]!);
+      });
+    const diffuse = lightOf(occlusion, luminances(this.person.shading), 0);
+    const glossy = lightOf(fillGloss, luminances(this.person.glossy), 1);
+    const level = this.levelOf(diffuse, glossy).map((value, i) => value - this.before[i]!);
+    const near = this.filling.fill(this.reach.of(level.map((value, i) => value * this.face[i]!)), 1);
+    const gain = level.map((value, i) => this.share[i]! * value + (1 - this.share[i]!) * near[i]!);
+    let [sum, total] = [0, 0];
+    this.face.forEach((weight, i) => {
+      sum += weight * level[i]!;
+      total += weight;
     });
-    return { level, mean };
+    return {
+      gain,
+      typical: sum / total,
+      common: this.common(from, dimmed, before, behind),
+      edge: { direction: towards, strength: (behind * strength) / (1 + strength * metered), spreadRad: from.spreadRad },
+    };
   }
 
-  private colourOf(shading: Float32Array): Float32Array {
-    const sums = this.summed(shading, 3);
-    const [red, green, blue] = [0, 1, 2].map((k) => this.tint.of(sums.filter((_, i) => i % 3 === k)).slice());
-    const colour = new Float32Array(sums.length);
-    for (let i = 0; i < red!.length; i++) {
-      const own = [red![i]!, green![i]!, blue![i]!] as const;
-      const bright = Math.max(luminance(...own), 1e-9);
-      for (let k = 0; k < 3; k++) colour[3 * i + k] = Math.log(Math.max(own[k]! / bright, 1e-3));
-    }
-    return colour;
+  /** Of luminances of shading and gloss, one number a point. */
+  private levelOf(shading: Float32Array, glossy: Float32Array): Float32Array {
+    const { facts, face } = this.person;
+    const base = facts.base * this.meanOnSkin(shading);
+    const whole = this.summed(shading.map((value, i) => face[i]! * (value + facts.shine * glossy[i]!)));
+    return this.sharp.of(whole).map((value) => Math.log(Math.max(value + base, 1e-9)));
   }
 
   /** `max(0, 1 - |p - q|_1)` of skylight.portrait._relit.shared_light. */
-  private common({ middle, spreadRad }: Lobe, dimmed: number, strength: number): number {
+  private common({ middle, spreadRad }: Lobe, dimmed: number, strength: number, behind: number): number {
     const { foundPower, facts } = this.person;
     // an even light of radiance 1 makes the ball as bright as pi
     const solid = solidAngles(2 * SHARED_ROWS, SHARED_ROWS);
-    const power = foundPower.map((_, i) => ((dimmed * facts.fill) / Math.PI) * solid[Math.floor(i / (2 * SHARED_ROWS))]!);
+    const power = foundPower.map((own, i) => {
+      const even = solid[Math.floor(i / (2 * SHARED_ROWS))]! / Math.PI;
+      return dimmed * facts.fill * ((1 - behind) * even + (behind * own) / facts.ball);
+    });
     const rows = 4 * SHARED_ROWS;
     const { pixels, weights } = lobe(middle, spreadRad, rows, false);
     pixels.forEach((pixel, k) => {
@@ -249,22 +237,10 @@ export class KeyLight {
     return sum / total;
   }
 
-  private meanOfCells(values: Float32Array, channels: number): number[] {
-    const sums = new Array<number>(channels).fill(0);
-    let total = 0;
-    this.bare.forEach((share, i) => {
-      if (!(share > 0)) return;
-      total += share;
-      for (let k = 0; k < channels; k++) sums[k]! += share * values[channels * i + k]!;
-    });
-    return sums.map((sum) => sum / total);
-  }
-
   /** The points' values summed over the cells. */
-  private summed(values: Float32Array, channels: number): Float32Array {
-    const picture = new Float32Array(channels * this.grid.width * this.grid.height);
-    for (let i = 0; i < this.cell.length; i++)
-      for (let k = 0; k < channels; k++) picture[channels * this.cell[i]! + k]! += values[channels * i + k]!;
+  private summed(values: Float32Array): Float32Array {
+    const picture = new Float32Array(this.grid.width * this.grid.height);
+    for (let i = 0; i < this.cell.length; i++) picture[this.cell[i]!]! += values[i]!;
     return picture;
   }
 }

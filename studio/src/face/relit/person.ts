@@ -13,22 +13,32 @@ export interface Facts {
   /** Azimuth and elevation in degrees, 0 at the camera and positive to the viewer's right. */
   keys: Record<string, [azimuth: number, elevation: number]>;
   usual: { size_deg: number; strength: number };
-  colour: Rgb;
   fill: number;
   ball: number;
   gloss: number;
   lobe: { f0: number; alpha: number };
-  sigmas_px: [sharp: number, soft: number, tint: number];
+  sigmas_px: [sharp: number, reach: number];
+  near: number;
   base: number;
   shine: number;
   most: [brighter: number, darker: number];
+  /** What is no skin. */
+  other_most: [brighter: number, darker: number];
   /** The logarithm that is 0 of the marks' second number. */
   darkest: number;
   veil: number;
   least_room: number;
-  shoulder: number;
+  short: number;
   edge_of_white: number;
-  tinted: number;
+  over: number;
+  /** What skin lacks of its usual colour, by its brightness, and the change of level that soon shows it. */
+  lacks: Rgb[];
+  soon: number;
+  /** Of a key behind the sitter: skylight.portrait._edge. */
+  behind: number;
+  metered: number;
+  grazing: number;
+  sheen: number;
   unseen: number;
   doubted: number;
   doubts: string[];
@@ -51,10 +61,12 @@ export interface Person {
   /** By the fill, over how bright it makes the ball; one number a point. */
   occlusion: Float32Array;
   fillGloss: Float32Array;
-  unseenTint: Float32Array;
-  skinTint: Float32Array;
   bare: Float32Array;
-  known: Float32Array;
+  face: Float32Array;
+  /** How much of a pixel of the crop is the face's. */
+  share: Float32Array;
+  /** How the outline leans, to the right and up, and how far it has the colour of skin; of the crop's pixels. */
+  outline: Float32Array;
   foundPower: Float32Array;
   foundMap: { width: number; height: number; data: Float32Array };
 }
@@ -77,10 +89,10 @@ export function readPerson(file: ArrayBuffer): Person {
     glossy: tensors.floats("glossy"),
     occlusion: tensors.floats("occlusion"),
     fillGloss: tensors.floats("fill_gloss"),
-    unseenTint: tensors.floats("unseen_tint"),
-    skinTint: tensors.floats("skin_tint"),
     bare: tensors.floats("bare"),
-    known: tensors.floats("known"),
+    face: tensors.floats("face"),
+    share: tensors.floats("share"),
+    outline: tensors.floats("outline"),
     foundPower: tensors.floats("found_power"),
     foundMap: { ...sized("found_map"), data: tensors.floats("found_map") },
   };

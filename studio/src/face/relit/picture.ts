@@ -10,12 +10,16 @@ void main() {
 // The formulas of skylight.portrait._relit, and of app.portrait.relit's shown()
 const PIXEL = `#version 300 es
 precision highp float;
-uniform highp sampler2D photo, marks, gain;
-uniform vec2 size, from, extent; // of the picture; and where the person's grid is in it
+const int STEPS = 16;
+uniform highp sampler2D photo, marks, gain, outline;
+uniform vec2 size, from, extent, crop; // of the picture; and where the person's grid, and its crop, are in it
 uniform vec2 drawn; // pixels of the canvas
-uniform vec2 most;
+uniform vec2 most, otherMost;
+uniform vec3 lacks[STEPS];
+uniform vec3 lamp; // behind the sitter
+uniform float edge, grazing, spread, sheen, soon;
 uniform float typical, doubted, other, range, knee;
-uniform float darkest, veil, leastRoom, shoulder, edgeOfWhite; // of skylight.portrait._room
+uniform float darkest, veil, leastRoom, shortOfWhite, edgeOfWhite, over; // of skylight.portrait._room
 uniform float before; // the share of the width, from the left, that is as it was photographed
 out vec4 color;
 
@@ -35,18 +39,23 @@ void main() {
   // branches: where no graphics card is, most of the time goes into looking textures up
   if (at.x >= before * size.x && seen.a > 0.0) {
     vec3 scene = unedited(p);
-    vec4 change = texture(gain, (at - from) / extent); // of colour, and of level
+    vec3 leans = texture(outline, (at - from) / crop).rgb;
     vec3 mark = texture(marks, at / size).rgb;
     float hidden = range * (2.0 * mark.r - 1.0);
     float base = darkest * (1.0 - mark.g);
-    float more = change.a + other * hidden - typical;
-    if (more < 0.0) more *= mix(clamp((1.0 - exp(base)) / edgeOfWhite, 0.0, 1.0), 1.0, mark.b);
-    float limit = more > 0.0 ? clamp(-base - typical, leastRoom, most.x - min(typical, 0.0)) : most.y;
+    float more = texture(gain, (at - from) / extent).r + other * hidden - typical;
+    float limit = more > 0.0 ? clamp(-base - typical - shortOfWhite, leastRoom, mix(otherMost.x, most.x - min(typical, 0.0), mark.b)) : mix(otherMost.y, most.y, mark.b);
     float level = typical + doubted * limit * tanh_(vec3(more / limit)).x;
     float usual = max(typical, 0.0);
     if (level > usual) level = usual + log(1.0 + (exp(level - usual) - 1.0) * (1.0 - (1.0 - mark.b) * min(veil * exp(-base), 1.0)));
-    vec3 tint = change.rgb * clamp((1.0 - exp(base)) / shoulder, 0.0, 1.0);
-    vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a);
+    float lost = (1.0 - mark.b) * clamp(1.0 - (1.0 - exp(base)) / edgeOfWhite, 0.0, 1.0);
+    if (level < 0.0) level = min(level + over * lost, 0.0);
+    float place = mark.g * float(STEPS - 1);
+    int step = min(int(place), STEPS - 2);
+    vec3 tint = leans.b * (1.0 - exp(-abs(level - typical) / soon)) * mix(lacks[step], lacks[step + 1], place - float(step));
+    float cosine = dot(leans.rg, lamp.xy) + sqrt(max(1.0 - dot(leans.rg, leans.rg), 0.0)) * lamp.z;
+    float sent = grazing * edge * (cosine + sqrt(cosine * cosine + spread * spread)) / 2.0;
+    vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a) + seen.a * seen.a * (1.0 - exp(base)) * sent * (scene + sheen * sqrt(max(dot(scene, vec3(0.2126, 0.7152, 0.0722)), 0.0)));
     light = max(edited(person) + p - edited(scene), 0.0);
     vec3 k = clamp(p, knee, 1.0 - 1e-6);
     if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
@@ -67,7 +76,7 @@ export class RelitPicture {
   private readonly gl: WebGL2RenderingContext;
   private readonly uniforms = new Map<string, WebGLUniformLocation>();
   private readonly program: WebGLProgram;
-  private readonly kept: number; // the format of textures
+  private readonly wide: boolean; // numbers of 32 bits, half as wide ones elsewhere
   private readonly size: { width: number; height: number };
   private readonly box: Box; // all else stays as the photograph has it
   private scale = 0; // pixels of the canvas a pixel of the picture, along an axis
@@ -77,7 +86,7 @@ export class RelitPicture {
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
-    { picture, marks, facts }: Person,
+    { picture, marks, outline, facts }: Person,
     private readonly light: KeyLight,
   ) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true });
@@ -86,8 +95,7 @@ export class RelitPicture {
     this.size = picture;
     this.box = box(picture);
     // half as wide numbers are slower where no graphics card is
-    if (gl.getExtension("OES_texture_float_linear")) this.kept = gl.RGBA32F;
-    else this.kept = gl.RGBA16F;
+    this.wide = gl.getExtension("OES_texture_float_linear") !== null;
     this.program = program(gl);
     gl.useProgram(this.program);
     const number = (name: string, ...values: number[]): void => {
@@ -96,7 +104,7 @@ export class RelitPicture {
       else gl.uniform2f(place, values[0]!, values[1]!);
     };
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    ["photo", "marks", "gain"].forEach((name, unit) => {
+    ["photo", "marks", "gain", "outline"].forEach((name, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
@@ -114,15 +122,22 @@ export class RelitPicture {
     const { left, top, width, height, step } = light.grid;
     number("from", left * across, top * down);
     number("extent", width * step * across, height * step * down);
+    const [, , columns, rows] = facts.crop;
+    number("crop", columns * across, rows * down);
+    gl.activeTexture(gl.TEXTURE3);
+    gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.RGB32F : gl.RGB16F, columns, rows, 0, gl.RGB, gl.FLOAT, outline);
     this.setConstants(facts, number);
     this.paint(1, 1);
   }
 
-  draw({ gain, typical, common }: Lit): void {
+  draw({ gain, typical, common, edge }: Lit): void {
     const { canvas, size } = this;
-    this.upload(2, this.light.grid, gain);
+    this.upload(this.light.grid, gain);
     this.gl.uniform1f(this.uniform("typical"), typical);
     this.gl.uniform1f(this.uniform("other"), 1 - common);
+    this.gl.uniform3f(this.uniform("lamp"), ...edge.direction);
+    this.gl.uniform1f(this.uniform("edge"), edge.strength);
+    this.gl.uniform1f(this.uniform("spread"), edge.spreadRad);
     const begun = performance.now();
     this.paint(this.before, Math.min(1, (this.detail * canvas.clientWidth * devicePixelRatio) / size.width || 1));
     requestAnimationFrame(() => {
@@ -177,17 +192,23 @@ export class RelitPicture {
     number("darkest", facts.darkest);
     number("veil", facts.veil);
     number("leastRoom", facts.least_room);
-    number("shoulder", facts.shoulder);
+    number("shortOfWhite", facts.short);
+    number("otherMost", ...facts.other_most);
+    number("sheen", facts.sheen);
+    number("grazing", facts.grazing);
+    number("soon", facts.soon);
+    this.gl.uniform3fv(this.uniform("lacks"), facts.lacks.flat());
     number("edgeOfWhite", facts.edge_of_white);
+    number("over", facts.over);
     number("knee", facts.knee);
     const { saturation, contrast, pivot } = facts.edit;
     this.gl.uniform3f(this.uniform("edit"), saturation, contrast, pivot);
   }
 
-  private upload(unit: number, { width, height }: Grid, values: Float32Array): void {
+  private upload({ width, height }: Grid, values: Float32Array): void {
     const { gl } = this;
-    gl.activeTexture(gl.TEXTURE0 + unit);
-    gl.texImage2D(gl.TEXTURE_2D, 0, this.kept, width, height, 0, gl.RGBA, gl.FLOAT, values);
+    gl.activeTexture(gl.TEXTURE2);
+    gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.R32F : gl.R16F, width, height, 0, gl.RED, gl.FLOAT, values);
   }
 
   private uniform(name: string): WebGLUniformLocation {

@@ -1,0 +1,78 @@
+"""Light from behind: a bright edge along a person's outline.
+
+What a lamp behind a sitter lights is a band at the outline, narrower than the errors of a fitted
+head, and mostly of hair and clothes that no model has. So it is not shaded on the model. The
+outline is taken for the edge of something round: at a distance t inside it the surface's normal
+leans by ``s = 1 - t / WIDTH`` out of the picture's plane, ``n = (s o, sqrt(1 - s^2))``, o being
+the outline's own normal in the picture, and a lamp in direction d sends it ``<n, d>+``, of which
+:data:`GRAZING` times as much as of light from the front is reflected. Along an
+outline that is cut out right, that is exact for a cylinder whose radius is about half of
+:data:`WIDTH`; thicker things have wider edges than these.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from skylight.portrait._gain import float32
+
+WIDTH = 0.16  # of the face's height
+SMOOTH = 0.03  # of it: the standard deviation of the outline's own normal, so that locks have none
+# Of z of the direction to a lamp, towards the camera: from here on it is all edge, and from 0 none
+BEHIND = -0.5
+METERED = 0.06  # of a ball's brightness: what an edge counts for in an exposure
+GRAZING = 5.0  # times as much is reflected from behind as Lambert's law has it: Fresnel's
+# Of the geometric mean of a place's brightness and skin's, which dark hair reflects without colour
+SHEEN = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeLight:
+    """A lamp behind the sitter: ``direction`` (3,) to it, and how many times as bright as the
+    photograph has it it makes what faces it. ``spread_rad`` is the lamp's."""
+
+    direction: tuple[float, float, float]
+    strength: float
+    spread_rad: float
+
+    def on(self, leaning: Float[ndarray, "h w 2"]) -> Float[ndarray, "h w"]:
+        """``GRAZING strength <n, d>+`` of what :func:`leaning` gives, as soft as the lamp is wide.
+
+        ``(x + sqrt(x^2 + spread^2)) / 2`` stands for the mean of ``x+`` over the lamp: too much by
+        at most half a spread, where the lamp's middle sets.
+        """
+        x, y, z = self.direction
+        facing = np.sqrt(np.maximum(1 - (leaning**2).sum(2), 0))
+        cosine = leaning[..., 0] * x + leaning[..., 1] * y + facing * z
+        return GRAZING * self.strength * (cosine + np.sqrt(cosine**2 + self.spread_rad**2)) / 2
+
+
+def edge_share(z: float) -> float:
+    """How much of a lamp in a direction of that z is drawn as an edge, and not on the model."""
+    return min(max(z / BEHIND, 0.0), 1.0)
+
+
+def leaning(
+    matte: Float[ndarray, "h w"], size: tuple[int, int], face_px: float
+) -> Float[ndarray, "p q 2"]:
+    """``s o`` of the module's text, to the right and up, at a (height, width).
+
+    ``face_px`` is of that size. 0 farther inside than :data:`WIDTH`, and at the picture's border,
+    which is no outline.
+    """
+    small = cv2.resize(float32(matte), size[::-1], interpolation=cv2.INTER_AREA)
+    wide = round(WIDTH * face_px) + 2
+    small = cv2.copyMakeBorder(small, wide, wide, wide, wide, cv2.BORDER_REPLICATE)
+    within = cv2.distanceTransform((small > 0.5).astype(np.uint8), cv2.DIST_L2, 5)
+    smooth = cv2.GaussianBlur(small, (0, 0), SMOOTH * face_px)
+    # of the distance too, whose gradient reaches farther in than the matte's
+    height = np.minimum(within / (WIDTH * face_px), 1) + smooth
+    height = cv2.GaussianBlur(height, (0, 0), SMOOTH * face_px)
+    down, right = np.gradient(height)
+    length = np.sqrt(down**2 + right**2)
+    share = 1 - np.minimum(within / (WIDTH * face_px), 1)
+    out = np.dstack([-right, down]) * (share / np.maximum(length, 1e-6))[..., None]
+    return float32(out[wide:-wide, wide:-wide])
