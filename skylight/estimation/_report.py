@@ -332,8 +332,10 @@ def _light(
         smooth=True,
     )
     _mark_probe(page, shown, environment, result.estimate.sun_direction)
-    for line in region_lines(posterior, environment.layout[0]):
-        places = [shown.at(*place) for place in line.tolist()]
+    height, width = environment.layout
+    for line in region_lines(posterior, height):
+        inside = line.clip(0, [width - 1, height - 1])  # it goes on behind the map's seam
+        places = [shown.at(*place) for place in inside.tolist()]
         for color, width in (("black", 5), (REGION, 2)):
             page.line(places, color, width)
     each = (high - 2 * _TITLE_HIGH + 19) / 2
