@@ -31,7 +31,7 @@ SPREAD = 0.1  # and of the one of the matte in clothes
 CODES = 8.0  # of 255: less is no edge of a person
 NEAR = 0.05  # of a Gaussian of REACH: skin that is near enough
 # Logarithms.
-BRIGHTER, DARKER = 1.25, 2.0  # what gains of skin approach on either side of its mean
+BRIGHTER, DARKER = 1.0, 2.0  # what gains of skin approach on either side of its mean
 TEXTURE = 0.05  # standard deviation of skin's albedo
 HUE = 0.35  # what skin's own colour differs by between shadow and light
 ALIKE = 0.25  # and from place to place
@@ -157,8 +157,8 @@ def bounded(
 ) -> Float[ndarray, "*s"]:
     """A logarithm with a soft knee: ``b tanh(x / b)``, b of its sign.
 
-    Shadows brightened further show noise, which ``e^1.25`` times the light makes 1.7 times as large
-    in a picture's codes, ``e^(1.25 / 2.4)``; skin darkened further loses its texture.
+    Shadows brightened further show noise, which ``e`` times the light makes 1.5 times as large in a
+    picture's codes, ``e^(1 / 2.4)``; skin darkened further loses its texture.
     """
     limit = np.where(gain > 0, np.float32(brighter), np.float32(darker))
     return limit * np.tanh(gain / limit)
