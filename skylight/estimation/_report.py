@@ -336,8 +336,8 @@ def _light(
     for line in region_lines(posterior, height):
         inside = line.clip(0, [width - 1, height - 1])  # it goes on behind the map's seam
         places = [shown.at(*place) for place in inside.tolist()]
-        for color, width in (("black", 5), (REGION, 2)):
-            page.line(places, color, width)
+        for color, thickness in (("black", 5), (REGION, 2)):
+            page.line(places, color, thickness)
     each = (high - 2 * _TITLE_HIGH + 19) / 2
     diffuse, metal = relit(evaluation_scene(SCENE_HEIGHT, SCENE_GRID), environment)
     for k, (name, picture) in enumerate((("Diffuse", diffuse), ("Metal", metal))):

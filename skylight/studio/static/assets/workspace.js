@@ -363,7 +363,8 @@ void main() {
     int step = min(int(place), STEPS - 2);
     vec3 tint = leans.b * (1.0 - exp(-abs(level - typical) / soon)) * mix(lacks[step], lacks[step + 1], place - float(step));
     float cosine = dot(leans.rg, lamp.xy) + sqrt(max(1.0 - dot(leans.rg, leans.rg), 0.0)) * lamp.z;
-    float sent = grazing * edge * (cosine + sqrt(cosine * cosine + spread * spread)) / 2.0;
+    float radius = 2.0 * spread, risen = clamp(cosine + radius, 0.0, 2.0 * radius);
+    float sent = grazing * edge * (risen * risen / (4.0 * radius) + max(cosine - radius, 0.0));
     vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a) + seen.a * seen.a * (1.0 - exp(base)) * sent * (scene + sheen * sqrt(max(dot(scene, vec3(0.2126, 0.7152, 0.0722)), 0.0)));
     light = max(edited(person) + p - edited(scene), 0.0);
     vec3 k = clamp(p, knee, 1.0 - 1e-6);
