@@ -38,10 +38,10 @@ LEAST_GAIN = 8.0
 # There are many latents, so what is coarse is coarse in light too
 COARSE = (
     Stage(level=Level(2, light=1), starts=5, iterations=6, even_skin=True, steps="broyden"),
-    Stage(level=Level(1, light=1), starts=2, iterations=8, even_skin=True, steps="broyden"),
+    Stage(level=Level(1, light=1), starts=3, iterations=8, even_skin=True, steps="broyden"),
 )
 FINE = (
-    Stage(level=Level(0, light=1), starts=1, iterations=8, steps="broyden"),
+    Stage(level=Level(0), starts=1, iterations=8, steps="broyden"),
     Stage(level=Level(0), starts=1, iterations=5, steps="broyden"),
 )
 
