@@ -12,6 +12,7 @@ are none. Times are the processor's, per frame, of one thread.
 
 import argparse
 import math
+import shlex
 import statistics
 import time
 from pathlib import Path
@@ -23,6 +24,7 @@ import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+from skylight.errors import InputError
 from skylight.estimation._photos import estimate_photo
 from skylight.inverse._scores import find_lamps
 from skylight.live import LiveLight
@@ -44,7 +46,11 @@ def main() -> None:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     begun, rows = time.time(), []
-    for folder in rendered_faces(arguments.folder):
+    try:
+        folders = rendered_faces(arguments.folder)
+    except InputError as error:
+        parser.error(str(error))
+    for folder in folders:
         face = read_rendered_face(folder)
         lamps = find_lamps(face.environment)
         if lamps and lamps[0].share >= arguments.least_share:
@@ -53,6 +59,11 @@ def main() -> None:
                 add_estimate(rows[-1], face.encoded, arguments.estimates)
             print({name: x for name, x in rows[-1].items() if "direction" not in name}, flush=True)
     seen = [row for row in rows if "direction" in row]
+    if not seen:
+        parser.error(
+            f"{arguments.folder}: no light was found for any of {len(rows)} faces whose truth has "
+            f"a lamp of {arguments.least_share:g} of the light: render more, or lower --least-share"
+        )
     sure = [row for row in seen if row["certainty_deg"] <= SURE_DEG]
     facts: dict[str, object] = {"faces": len(rows), "with_light": len(seen), "sure": len(sure)}
     for among, name in ((seen, ""), (sure, "sure_")):
@@ -60,15 +71,19 @@ def main() -> None:
             values = [row[key] for row in among if key in row]
             if values:
                 facts[f"{name}{key}"] = statistics.median(values)
-        facts[f"{name}within"] = statistics.mean(row["within"] for row in among)
+        if among:
+            facts[f"{name}within"] = statistics.mean(row["within"] for row in among)
     facts["frame_ms"] = statistics.median(row["frame_ms"] for row in seen)
+    command = ["python", "-m", "tools.measure_live_light", arguments.folder.name]
+    command += ["--least-share", f"{arguments.least_share:g}"]
+    if arguments.estimates is not None:
+        command += ["--estimates", arguments.estimates.name]
     shares = f"lamps of {arguments.least_share:g} of the light and more"
     write_measured(
         arguments.out,
         name="live-light",
         what=f"{len(rows)} rendered people, {shares}; medians; sure: certain to {SURE_DEG:g} deg",
-        command=f"python -m tools.measure_live_light {arguments.folder.name} "
-        f"--least-share {arguments.least_share:g}",
+        command=shlex.join(command),
         begun=begun,
         facts=facts,
     )
@@ -92,15 +107,16 @@ def measured(
         if shown is not None:
             found.append(shown.direction)
     each_s = np.add(moving.timing.landmarks_s, moving.timing.light_s)[1:]  # the first fits a head
-    middle = np.mean(found[5:], axis=0)
-    apart = [angle_deg(one, middle) for one in found[5:]]
+    settled = found[5:]
+    apart = [angle_deg(one, np.mean(settled, axis=0)) for one in settled]
+    trembles = math.sqrt(statistics.mean(x**2 for x in apart)) if apart else None
     return {
         "face": name,
         "direction": light.direction.tolist(),
         "error_deg": error,
         "certainty_deg": math.degrees(light.certainty_rad),
         "within": float(error <= math.degrees(light.certainty_rad)),
-        "trembles_deg": math.sqrt(statistics.mean(x**2 for x in apart)),
+        **({} if trembles is None else {"trembles_deg": trembles}),
         "frame_ms": 1000 * float(np.median(each_s)),
         "lamp_direction": lamp.tolist(),
     }

@@ -16,7 +16,7 @@ KEYS = (
     ("rim", "Rim", "From behind the sitter"),
     ("front", "Front", "From the camera"),
 )
-SIZES_DEG, USUAL_DEG = (2.0, 120.0), 15.0  # of a key light
+SIZES_DEG, USUAL_DEG = (2.0, 120.0), 25.0  # of a key light
 MOST_STRENGTH, USUAL_STRENGTH = 1000.0, 4.0  # key over fill
 LIGHTS = (
     ("sphere", "Any Place", "Outdoors, rooms, studios, streets; uses what is behind the person"),

@@ -151,8 +151,15 @@ def _then_set_up(estimate: Path) -> Callable[[Run], None]:
 
 def _show(picture: Path, run: Run) -> None:
     """In the Image Editors there are, or a line says where it is; with what to take care of."""
-    image = bpy.data.images.load(str(picture), check_existing=True)
-    image.reload()  # an earlier one by this name was written over
+    try:
+        image = bpy.data.images.load(str(picture), check_existing=True)
+        image.reload()  # an earlier one by this name was written over
+        is_read = 0 not in image.size  # it is decoded when its size is asked for
+    except RuntimeError:
+        is_read = False
+    if not is_read:
+        running.tell(f"{picture}: Blender cannot read it: relight the portrait again")
+        return
     windows = bpy.context.window_manager.windows
     editors = [a for w in windows for a in w.screen.areas if a.type == "IMAGE_EDITOR"]
     for editor in editors:

@@ -8,7 +8,7 @@ import bpy
 
 from . import running
 from .operators import Cancel, Estimate, OpenEstimate, Relight
-from .scene_setup import shows_as_photographed
+from .scene_setup import shows_as_photographed, takes_white
 from .wording import of_verdict
 
 LETTER_PX = 7  # about, of Blender's own font at a scale of 1
@@ -49,11 +49,18 @@ class Drawn:
 
 def _colours(layout: Any, scene: bpy.types.Scene, columns: int) -> None:
     """What white looks like, and whether colours are shown as the photograph's are."""
-    layout.prop(scene.world_from_portrait, "white")
+    if takes_white(scene):
+        layout.prop(scene.world_from_portrait, "white")
+    else:
+        line = "White: this scene was set up by an older extension: set it up again."
+        _lines(layout, line, "INFO", columns)
     if shows_as_photographed(scene):
         _lines(layout, "Shown as the photo is: view Standard, exposure 0.", "COLOR", columns)
     else:
-        line = "Not the photo's colours: set view Standard, look None, exposure 0, gamma 1."
+        line = (
+            "Not the photo's colours: set display sRGB, view Standard, look None, exposure 0, "
+            "gamma 1, no curves, no white balance."
+        )
         _lines(layout, line, "ERROR", columns)
 
 

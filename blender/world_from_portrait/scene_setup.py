@@ -20,6 +20,7 @@ AWAY_M = 5.0  # where a sun's icon is drawn; its light is parallel
 WHITE_NODE = "white"  # multiplies the world's light
 # A value of the render then is shown as the photograph shows that value, by sRGB's curve alone.
 # The last one is there since Blender 4.3.
+DISPLAY = "sRGB"
 VIEW = {
     "view_transform": "Standard",
     "look": "None",
@@ -67,16 +68,19 @@ def set_up(scene: bpy.types.Scene, portrait: PortraitScene) -> None:
 def light_as_white(told: Any, context: bpy.types.Context) -> None:
     """Multiply all light of the set-up so that white paint becomes what is called ``white``.
 
-    The head stays as the photograph has it: its albedo is divided by as much, up to 1.
+    The head stays as the photograph has it, but for two things: its albedo is divided by as much,
+    which stops at 1, and its specular reflection grows with the light.
     """
     scene = told.id_data
-    world = scene.world.node_tree if scene.world is not None and scene.world.get(MARK) else None
+    if not takes_white(scene):
+        return
+    world = _world_of_us(scene)
     # a channel without light stays without
     gains = [w / f if f > 0 else 1.0 for w, f in zip(told.white, told.white_found, strict=True)]
-    if world is not None and WHITE_NODE in world.nodes:
+    if world is not None:
         world.nodes[WHITE_NODE].inputs[1].default_value = gains
     for block in (each for each in scene.collection.all_objects if each.get(MARK)):
-        if block.type == "LIGHT":
+        if block.type == "LIGHT" and "irradiance" in block.data:
             found = block.data["irradiance"]
             _shine(block.data, [gain * each for gain, each in zip(gains, found, strict=True)])
         elif block.type == "MESH" and "albedo" in (skin := block.active_material or {}):
@@ -86,10 +90,24 @@ def light_as_white(told: Any, context: bpy.types.Context) -> None:
                 node.inputs["Base Color"].default_value = (*albedo, 1.0)
 
 
+def takes_white(scene: bpy.types.Scene) -> bool:
+    """Whether the set-up tells its white, and its world can follow: not before extension 0.2.0."""
+    world = _world_of_us(scene)
+    can_follow = world is None or WHITE_NODE in world.nodes
+    return can_follow and any(scene.world_from_portrait.white_found)
+
+
+def _world_of_us(scene: bpy.types.Scene) -> Any:
+    """The nodes of a set-up's world, None where the scene has another."""
+    world = scene.world
+    return world.node_tree if world is not None and world.get(MARK) else None
+
+
 def shows_as_photographed(scene: bpy.types.Scene) -> bool:
     """Whether colours are still shown as a set-up has them shown."""
     view = scene.view_settings
-    return all(getattr(view, name, value) == value for name, value in VIEW.items())
+    is_display = scene.display_settings.display_device == DISPLAY
+    return is_display and all(getattr(view, name, value) == value for name, value in VIEW.items())
 
 
 class _Made:
@@ -145,7 +163,7 @@ def _see_as(scene: bpy.types.Scene, portrait: PortraitScene) -> None:
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
     render.film_transparent = True
     try:
-        scene.display_settings.display_device = "sRGB"
+        scene.display_settings.display_device = DISPLAY
         for name, value in VIEW.items():
             if hasattr(scene.view_settings, name):
                 setattr(scene.view_settings, name, value)

@@ -187,13 +187,78 @@ def colours(asked: Asked) -> Asked:
     found["picked"] = _white_shown(asked)
     head = bpy.data.objects["portrait head"].active_material.node_tree.nodes["Principled BSDF"]
     found["albedo"] = list(head.inputs["Base Color"].default_value)[:3]
-    is_shown = module("scene_setup").shows_as_photographed
-    found["is_shown"] = [is_shown(scene)]
-    view.exposure = 0.5
-    found["is_shown"].append(is_shown(scene))
     bpy.ops.world_from_portrait.set_up(folder=asked["folder"])
-    found["again"] = [*told.white, is_shown(scene)]
+    found["again"] = list(told.white)
     return found
+
+
+def views(asked: Asked) -> dict[str, list[bool]]:
+    """Whether colours are shown as the photograph's: once each is changed, and set up again."""
+    scene, setup = bpy.context.scene, module("scene_setup")
+    others = {"display_device": "Display P3", "view_transform": "Raw", "look": "High Contrast"}
+    found = {}
+    for name in ("display_device", *setup.VIEW):
+        bpy.ops.world_from_portrait.set_up(folder=asked["folder"])
+        owner = scene.display_settings if name == "display_device" else scene.view_settings
+        if not hasattr(owner, name):
+            continue
+        was, first = getattr(owner, name), setup.shows_as_photographed(scene)
+        other = not was if isinstance(was, bool) else others.get(name, 0.5)
+        setattr(owner, name, other)
+        if name == "display_device":  # it may change the view
+            scene.view_settings.view_transform = "Standard"
+        found[name] = [first, getattr(owner, name) != was, setup.shows_as_photographed(scene)]
+    return found
+
+
+def older(asked: Asked) -> Asked:
+    """A scene as extension 0.1.1 set it up, without its white; then set up again."""
+    scene, setup, panels = bpy.context.scene, module("scene_setup"), module("panels")
+    told, found = scene.world_from_portrait, {}
+
+    def note(name: str) -> None:
+        drawn = _Noted()
+        panels._colours(drawn, scene, 1000)
+        setup.light_as_white(told, bpy.context)  # errors in updates are printed, and no more
+        suns = [_sun(block) for block in _of_us() if block.type == "LIGHT"]
+        irradiance = {sun["name"]: sun["irradiance"] for sun in suns}
+        found[name] = {"irradiance": irradiance, "drawn": drawn.said}
+
+    bpy.ops.world_from_portrait.set_up(folder=asked["folder"])
+    note("new")
+    nodes = scene.world.node_tree.nodes
+    nodes.remove(nodes["white"])
+    for block in _of_us():
+        if block.type == "LIGHT":
+            del block.data["irradiance"]
+    told.white_found = told.white = 0, 0, 0
+    note("older")
+    told.white = asked["picked"]
+    note("older_picked")
+    bpy.ops.world_from_portrait.set_up(folder=asked["folder"])
+    note("again")
+    told.white = [2 * each for each in told.white_found]
+    lamp = bpy.data.objects.new("added", bpy.data.lights.new("added", "SUN"))
+    lamp.data.energy, lamp[ID] = 3.0, True
+    scene.collection.objects.link(lamp)
+    note("again_twice")
+    return found
+
+
+class _Noted:
+    """A layout that notes what is drawn."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def column(self, align: bool = False) -> "_Noted":
+        return self
+
+    def prop(self, owner: Any, name: str) -> None:
+        self.said.append(name)
+
+    def label(self, text: str, icon: str) -> None:
+        self.said.append(text)
 
 
 def _white_shown(asked: Asked) -> list[float]:
@@ -368,6 +433,17 @@ def _image_editors() -> list[bpy.types.Area]:
     return [a for w in windows for a in w.screen.areas if a.type == "IMAGE_EDITOR"]
 
 
+def pictures(asked: Asked) -> list[Asked]:
+    """Portraits that each of the programs relights, into the folder of an estimate."""
+    preferences = bpy.context.preferences.addons[module("")].preferences
+    bpy.context.scene.world_from_portrait.estimate = asked["estimate"]
+    found = []
+    for program in asked["programs"]:
+        preferences.program = program
+        found.append(_run({"key": "top", "size_deg": 25.0})["panel"])
+    return found
+
+
 def _run(one: Asked) -> Asked:
     running = module("running")
     operators = bpy.ops.world_from_portrait
@@ -456,8 +532,8 @@ def drawn(asked: Asked) -> None:
 CHECKS = {
     each.__name__: each
     for each in (
-        set_up, irradiance, head_rendered, colours, refusals, without_cycles, broken_off, again,
-        undo, runs, left_behind, drawn,
+        set_up, irradiance, head_rendered, colours, views, older, refusals, without_cycles,
+        broken_off, again, undo, runs, pictures, left_behind, drawn,
     )
 }  # fmt: skip
 

@@ -224,7 +224,8 @@ def test_neck_and_clothes_follow_the_face() -> None:
             np.polyfit(columns[where], gain[where], 1)[0]
             for where in (on_skin(), person().region_image() == Region.NECK, deep)
         ]
-        assert all(sign * slope > 0.002 for slope in slopes)
+        of_face, *others = (sign * slope for slope in slopes)
+        assert all(0.002 < slope < 0.95 * of_face for slope in others)
         # bounded about the mean of the face, which is near 0
         assert gain[deep].max() < OTHER_BRIGHTER + 0.3
         assert gain[deep].min() > -OTHER_DARKER - 0.3

@@ -1,14 +1,18 @@
 """A person taken apart for a page that moves the key light: shading and transport, without light.
 
-The page adds, at each of the m points of the person's surface, to the shading S_0 and specular
-reflection g_0 by the fill (:mod:`skylight.portrait._keys`), which is even and so one number times
-the colour of all light, a key light's, of irradiance E on what faces it and g its lobe ::
+The page adds, at each of the m points of the person's surface and in luminance, the shading S_0
+and specular reflection g_0 by the fill R, those (S_L, g_L) by the light found L, and a key light's
+of lobe g(w) towards d, of which a share b is behind the sitter ::
 
-    S = f S_0 + E / pi T,    T = sum_w g(w) V(w) <n, w>+ dw,
-    g = f g_0 + specular_scale E T f_s(n, d, v),
+    S = f ((1 - b) S_0 + b B(R) / B(L) S_L) + E / pi T,    T = sum_w g(w) V(w) <n, w>+ dw,
+    g = f ((1 - b) g_0 + b B(R) / B(L) g_L) + specular_scale E T f_s(n, d, v),
+    E = (1 - b) f s B(R).
 
-f_s being as much rougher as the lobe is wide, and goes on as :mod:`skylight.portrait._relit` does.
-V is that of 32 x 64 directions, so no shadow has a penumbra of less than 5.6 degrees.
+f, s and B are those of :mod:`skylight.portrait._keys`, b is
+:func:`skylight.portrait._edge.edge_share`, which is drawn as an edge of strength
+``b s / (1 + s m)``, m being what the key counts for in an exposure, and f_s is as much rougher as
+the lobe is wide. The page goes on as :mod:`skylight.portrait._relit` does. V is that of 32 x 64
+directions, so no shadow has a penumbra of less than 5.6 degrees.
 
 Of every estimate is kept what its person can be taken apart from later, without estimating again
 (:mod:`skylight.estimation._kept`).
@@ -148,7 +152,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     :func:`~skylight.portrait._relit.coarse_power`; ``found_map`` is to be looked at. ``occlusion``
     and ``fill_gloss`` are S_0 and g_0 in luminance, over ``fill``, which is how bright the fill R
     of :mod:`skylight.portrait._keys` makes the ball, as ``ball`` is how bright the light found
-    does.
+    does. ``shading`` and ``glossy`` (m,3) are S_L and g_L, in colour.
     ``share`` is :meth:`~skylight.portrait._gain.Surface.share` of the crop, ``outline`` how its
     outline leans (:mod:`skylight.portrait._edge`) and how far it has the colour of skin.
     """

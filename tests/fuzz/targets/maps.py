@@ -27,6 +27,7 @@ def seeds() -> list[bytes]:
     light = torch.rand(8, 16, 3, generator=torch.Generator().manual_seed(0))
     light[2, 5] = 500.0  # a sun
     square = torch.rand(12, 9, 3, generator=torch.Generator().manual_seed(1))
+    wide = torch.rand(16, 64, 3, generator=torch.Generator().manual_seed(2))
     header: dict[str, object] = {"whiteLuminance": 250.0}
 
     def write(name: str, radiance: torch.Tensor, **more: object) -> bytes:
@@ -34,7 +35,7 @@ def seeds() -> list[bytes]:
         return written(name, lambda path: write_environment_map(path, lit, **more))
 
     maps = [write("a.hdr", light), write("b.exr", light, header=header, half=True)]
-    maps += [write("c.hdr", torch.rand(16, 64, 3)), write("d.hdr", square[:4, :8].repeat(2, 2, 1))]
+    maps += [write("c.hdr", wide), write("d.hdr", square[:4, :8].repeat(2, 2, 1))]
     found = []
     for number in range(len(_LAYOUTS)):
         choices = bytes([number, 0, number % 7, number % 6, number % 4, 8, number % 2, 0])

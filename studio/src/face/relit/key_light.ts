@@ -181,7 +181,7 @@ export class KeyLight {
     const diffuse = lightOf(occlusion, luminances(this.person.shading), 0);
     const glossy = lightOf(fillGloss, luminances(this.person.glossy), 1);
     const level = this.levelOf(diffuse, glossy).map((value, i) => value - this.before[i]!);
-    const near = this.filling.fill(this.reach.of(level.map((value, i) => value * this.face[i]!)), 1);
+    const near = this.filling.fill(this.reach.of(level.map((value, i) => value * this.face[i]!)));
     const gain = level.map((value, i) => this.share[i]! * value + (1 - this.share[i]!) * near[i]!);
     let [sum, total] = [0, 0];
     this.face.forEach((weight, i) => {

@@ -7,7 +7,7 @@ void main() {
   gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
 }`;
 
-// The formulas of skylight.portrait._relit, and of app.portrait.relit's shown()
+// The formulas of skylight.portrait._relit, and of skylight.portrait._files.shown
 const PIXEL = `#version 300 es
 precision highp float;
 const int STEPS = 16;
