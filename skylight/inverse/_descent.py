@@ -27,10 +27,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from skylight.inverse._faces import FaceTerm, Level, Transported, of_problem
+from skylight.inverse._faces import FaceTerm, Level, Transported, Unpacked, of_problem
 from skylight.inverse._gauss_newton import minimise_robust
 from skylight.inverse._lbfgs import minimise
-from skylight.inverse._objective import TURN_STEP, LightObjective, Unpacked
+from skylight.inverse._objective import TURN_STEP, LightObjective
 from skylight.models._lobes import LampedLight
 
 _MOST_CHANGES = 512  # of the light at a time: a decoder has 1 MB of activations for each

@@ -2,7 +2,7 @@
 
 A face is held as pixels and transport on each level of its pyramid (:class:`FaceTerm`), the faces
 of one light as :class:`LitFaces`; :class:`ObjectiveWeights` says how much the parts of the
-objective count.
+objective count, :class:`Unpacked` what its free parameters mean.
 """
 
 from collections.abc import Sequence
@@ -35,6 +35,27 @@ WHITE_BALANCE_SPREAD = 0.1
 # styles and sliders make it more or less. By hand: with 0.2, the colour of the light on rendered
 # faces that were not edited was a tenth further off.
 SATURATION_SPREAD = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unpacked:
+    """The physical meaning of a batch of free parameters: n photographs of f faces in all.
+
+    ``balance`` is the log of each photograph's red and blue gain against green, ``edits`` that of
+    its saturation and contrast; ``pigments`` what each face has of either pigment along k modes, in
+    log green; ``turns`` by how much each face's normals are wrong along j modes, in their standard
+    deviations.
+    """
+
+    light: Float[Tensor, "b p"]
+    exposure: Float[Tensor, "b n"]
+    balance: Float[Tensor, "b n 2"]
+    edits: Float[Tensor, "b n 2"]
+    specular_scale: Float[Tensor, "b f"]
+    albedo: Float[Tensor, "b f 3"]
+    ground_albedo: Float[Tensor, "b g"]
+    pigments: Float[Tensor, "b f 2 k"]
+    turns: Float[Tensor, "b f j"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,6 @@ objective, so that points of all of them are evaluated as one batch.
 """
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
@@ -16,7 +15,7 @@ from torch.nn.functional import pad
 from skylight.faces._skin import PIGMENT_COLOURS, PIGMENT_SPREADS
 from skylight.imaging._edits import edited
 from skylight.inverse._background import ROW_WEIGHT
-from skylight.inverse._faces import FaceTerm, ObjectiveWeights, Transported, of_problem
+from skylight.inverse._faces import FaceTerm, ObjectiveWeights, Transported, Unpacked, of_problem
 from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._scale import (
     SCALES,
@@ -44,27 +43,6 @@ NORMAL_PRIORS = (
     "pigment_prior",
     "normal_prior",
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Unpacked:
-    """The physical meaning of a batch of free parameters: n photographs of f faces in all.
-
-    ``balance`` is the log of each photograph's red and blue gain against green, ``edits`` that of
-    its saturation and contrast; ``pigments`` what each face has of either pigment along k modes, in
-    log green; ``turns`` by how much each face's normals are wrong along j modes, in their standard
-    deviations.
-    """
-
-    light: Float[Tensor, "b p"]
-    exposure: Float[Tensor, "b n"]
-    balance: Float[Tensor, "b n 2"]
-    edits: Float[Tensor, "b n 2"]
-    specular_scale: Float[Tensor, "b f"]
-    albedo: Float[Tensor, "b f 3"]
-    ground_albedo: Float[Tensor, "b g"]
-    pigments: Float[Tensor, "b f 2 k"]
-    turns: Float[Tensor, "b f j"]
 
 
 class LightObjective:

@@ -15,10 +15,10 @@ from torch import Tensor
 
 from skylight.imaging._edits import Edit
 from skylight.inverse._descent import Iterates, deviations_apart, jacobian
-from skylight.inverse._faces import Level, LitFaces
+from skylight.inverse._faces import Level, LitFaces, Unpacked
 from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._least_squares import hessian_at, laplace, spreads_at
-from skylight.inverse._objective import LightObjective, Unpacked
+from skylight.inverse._objective import LightObjective
 from skylight.inverse._posterior import SunEvidence, sun_posterior
 from skylight.inverse._result import (
     TRUSTED,

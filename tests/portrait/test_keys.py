@@ -149,7 +149,7 @@ def test_the_edge_is_lit_as_a_cylinder_is(size_deg: float) -> None:
     shown = np.abs(places) < 1
     np.testing.assert_allclose(lit[shown], want[shown], atol=0.05 + 0.04 * half)
     assert lit[shown][-1] > 0.3
-    assert lit[shown][: radius].max() < 0.01 + 0.3 * max(half - math.radians(30), 0)
+    assert lit[shown][:radius].max() < 0.01 + 0.3 * max(half - math.radians(30), 0)
     # the border of the picture is no outline
     cut = leaning(matte[:, : rows // 2], (rows, rows // 2), face_px)
     assert np.abs(cut[rows // 2, -3:]).max() < 0.1
