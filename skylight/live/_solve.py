@@ -305,13 +305,14 @@ class Level:
     ]:
         """(main light, ambient light, shading, what is left), of directions that have a share.
 
-        All are sums over directions: of all levels they add up to means.
+        All are sums over directions: of all levels they add up to means. ``found``, the mean of
+        the ways' amounts, has the level in it already, as ``lower`` has.
         """
         problem, likely, known = self.problem, shares.sum(0), len(self.problem.mean)
         main = shares * self.strength.T
         lit = problem.towards @ main.astype(np.float32)
         found = self.lower.T @ (likely * self.inside - self.lower @ (problem.weighted.T @ lit))
-        ambient = self.level * (likely * problem.mean[:, None] + problem.root @ found[:known])
+        ambient = self.level * likely * problem.mean[:, None] + problem.root @ found[:known]
         errors = likely[0] * self.z[:, 0] - lit[:, 0] - problem.ways @ found[:, 0]
         of_ambient = problem.ways[:, :known] @ found[:known, 0]
         shading = likely[0] * self.level * problem.even + of_ambient + lit[:, 0]

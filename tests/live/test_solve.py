@@ -121,8 +121,10 @@ def test_turning_harmonics_is_orthogonal_and_turns_light() -> None:
     )
 
 
-def test_evidence_and_strength_are_those_of_dense_matrices() -> None:
-    """Of 40 directions, ln N(z; 0, K + s^2 t t^T) 2 Phi(m / v) and the mean of E, in float64."""
+@pytest.mark.parametrize("share", LEVELS)
+def test_all_of_a_level_is_that_of_dense_matrices(share: float) -> None:
+    """Of 40 directions, ln N(z; 0, K + s^2 t t^T) 2 Phi(m / v), the mean of E and, given that, the
+    ambient light b mu + b^2 S B^T K^-1 (z - E t), which with the lamp makes the shading."""
     rotation, towards = turned(15.0), unit(0.9, 0.5, 0.6)
     colours, weights = lit(towards, MAIN, AMBIENT), facing_weights(rotation)
     y = np.repeat((colours @ [0.2126, 0.7152, 0.0722])[:, None], 4, axis=1)
@@ -130,11 +132,12 @@ def test_evidence_and_strength_are_those_of_dense_matrices() -> None:
     solver = LightSolver(mean_skin())
     problem = solver.problem(y, weights, head_from_camera(rotation))
     used = weights > 0
-    level = problem.at(LEVELS[1])
+    level = problem.at(share)
     mean, root = ambient_moments()
-    basis = mean_skin().transport[used] @ evaluate(mean_skin().grid.directions, 4).numpy()
-    basis = basis @ head_from_camera(rotation)
-    b = LEVELS[1] / problem.even_level
+    whole_basis = mean_skin().transport @ evaluate(mean_skin().grid.directions, 4).numpy()
+    turning = head_from_camera(rotation)
+    basis = whole_basis[used] @ turning
+    b = share / problem.even_level
     z = y[used, 0] - b * basis @ mean
     covariance = b**2 * basis @ root @ root.T @ basis.T + np.diag(1 / problem.precision[used])
     errors = problem.ways[used][:, len(mean) :]
@@ -154,3 +157,13 @@ def test_evidence_and_strength_are_those_of_dense_matrices() -> None:
         assert level.evidence[d] - log == pytest.approx(constant, abs=0.05)
         truncated = m + v * math.exp(norm.logpdf(m / v) - norm.logcdf(m / v))
         assert level.strength[0, d] == pytest.approx(truncated, rel=0.02, abs=0.01)
+        shares = np.zeros((2048, 4))
+        shares[d] = 1
+        main, ambient, shading, left = level.explained(shares)
+        rest = np.linalg.solve(covariance, z - main[d, 0] * t)
+        mean_ambient = turning @ (b * mean + b**2 * root @ root.T @ basis.T @ rest)
+        np.testing.assert_allclose(ambient[:, 0], mean_ambient, atol=1e-3 * abs(mean_ambient[0]))
+        np.testing.assert_allclose(
+            whole_basis @ ambient[:, 0] + main[d, 0] * problem.towards[:, d], shading, atol=1e-5
+        )
+        np.testing.assert_allclose(left[used], rest / problem.precision[used], atol=1e-3)
