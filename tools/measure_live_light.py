@@ -53,7 +53,7 @@ def main() -> None:
                 add_estimate(rows[-1], face.encoded, arguments.estimates)
             print({name: x for name, x in rows[-1].items() if "direction" not in name}, flush=True)
     seen = [row for row in rows if "direction" in row]
-    sure = [row for row in seen if row["certainty_deg"] <= SURE_DEG]
+    sure = [row for row in seen if row["radius_90_deg"] <= SURE_DEG]
     facts: dict[str, object] = {"faces": len(rows), "with_light": len(seen), "sure": len(sure)}
     for among, name in ((seen, ""), (sure, "sure_")):
         for key in ("error_deg", "to_estimate_deg", "estimate_error_deg", "trembles_deg"):
@@ -98,8 +98,8 @@ def measured(
         "face": name,
         "direction": light.direction.tolist(),
         "error_deg": error,
-        "certainty_deg": math.degrees(light.certainty_rad),
-        "within": float(error <= math.degrees(light.certainty_rad)),
+        "radius_90_deg": math.degrees(light.radius_90_rad),
+        "within": float(error <= math.degrees(light.radius_90_rad)),
         "trembles_deg": math.sqrt(statistics.mean(x**2 for x in apart)),
         "frame_ms": 1000 * float(np.median(each_s)),
         "lamp_direction": lamp.tolist(),

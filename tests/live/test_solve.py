@@ -47,13 +47,13 @@ def test_one_lamp_is_found_where_it_is(towards: np.ndarray, yaw: float) -> None:
     """Within 6.5 degrees (a cell is 5.6 wide), and no surer than that; strength and ambient light
     to four tenths, of the light that the mean person would need to look so.
 
-    That a light is in front is only known from how dark the sides are: its certainty is little.
+    That a light is in front is only known from how dark the sides are: the radius is large.
     """
     rotation = turned(yaw, 5.0)
     light = found(lit(towards, MAIN, AMBIENT), rotation)
     error = angle_deg(light.direction, rotation @ towards)
     assert error < 6.5
-    assert error < math.degrees(light.certainty_rad) < (35 if towards[2] < 0.9 else 180)
+    assert error < math.degrees(light.radius_90_rad) < (35 if towards[2] < 0.9 else 180)
     np.testing.assert_allclose(light.irradiance, OTHER_SKIN * MAIN, rtol=0.4)
     mean_radiance = light.ambient[0] * 0.5 / math.sqrt(math.pi)
     np.testing.assert_allclose(mean_radiance, OTHER_SKIN * AMBIENT, rtol=0.4)
@@ -62,13 +62,13 @@ def test_one_lamp_is_found_where_it_is(towards: np.ndarray, yaw: float) -> None:
 def test_even_light_has_no_direction_and_its_own_radiance() -> None:
     rotation = turned(10.0)
     light = found(lit(unit(0, 0, 1), 0 * MAIN, AMBIENT), rotation)
-    assert math.degrees(light.certainty_rad) > 60
+    assert math.degrees(light.radius_90_rad) > 60
     mean_radiance = light.harmonics[0] * 0.5 / math.sqrt(math.pi)
     np.testing.assert_allclose(mean_radiance, OTHER_SKIN * AMBIENT, rtol=0.5)
 
 
 def test_the_light_turns_with_the_head_about_the_vertical() -> None:
-    """Beforehand, light is alike all round; above and below it is not."""
+    """By the prior, light is alike all round; above and below it is not."""
     colours, weights = lit(unit(1, 0.5, 0.6), MAIN, AMBIENT), facing_weights(turned(0.0))
     one = LightSolver(mean_skin()).solve(colours, weights, turned(0.0))
     turn = turned(70.0)
@@ -88,7 +88,7 @@ def test_twice_the_exposure_is_twice_the_light_from_the_same_direction() -> None
     colours = lit(unit(-1, 0.8, 0.6), MAIN, AMBIENT)
     one, twice = found(colours, rotation), found(colours, rotation, scale=2.0)
     np.testing.assert_allclose(twice.direction, one.direction, atol=1e-5)
-    np.testing.assert_allclose(twice.certainty_rad, one.certainty_rad, atol=1e-4)
+    np.testing.assert_allclose(twice.radius_90_rad, one.radius_90_rad, atol=1e-4)
     np.testing.assert_allclose(twice.harmonics, 2 * one.harmonics, rtol=1e-4, atol=1e-4)
 
 
