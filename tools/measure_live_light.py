@@ -4,7 +4,7 @@
 
 FOLDER is one of ``skylight faces render --maps``. Of each face whose truth has a lamp of at least
 so much of the light: the angle from the live direction to that lamp and to the main light of an
-estimate, whether the lamp lies within the certainty told, and by how much (root mean square) the
+estimate, whether the lamp lies within the 90 % credible radius, and how much (root mean square) the
 direction trembles while the picture moves by 2 % of its size, grows and shrinks by 3 %, with noise
 of two codes. ``--estimates`` is a folder where estimates are kept between runs; without it there
 are none. Times are the processor's, per frame, of one thread.
