@@ -4,7 +4,7 @@
 
 FOLDER is one of ``skylight faces render --maps``. Of each face whose truth has a lamp of at least
 so much of the light: the angle from the live direction to that lamp and to the main light of an
-estimate, whether the lamp lies within the certainty told, and by how much (root mean square) the
+estimate, whether the lamp lies within the 90 % credible radius, and how much (root mean square) the
 direction trembles while the picture moves by 2 % of its size, grows and shrinks by 3 %, with noise
 of two codes. ``--estimates`` is a folder where estimates are kept between runs; without it there
 are none. Times are the processor's, per frame, of one thread.
@@ -64,7 +64,7 @@ def main() -> None:
             f"{arguments.folder}: no light was found for any of {len(rows)} faces whose truth has "
             f"a lamp of {arguments.least_share:g} of the light: render more, or lower --least-share"
         )
-    sure = [row for row in seen if row["certainty_deg"] <= SURE_DEG]
+    sure = [row for row in seen if row["radius_90_deg"] <= SURE_DEG]
     facts: dict[str, object] = {"faces": len(rows), "with_light": len(seen), "sure": len(sure)}
     for among, name in ((seen, ""), (sure, "sure_")):
         for key in ("error_deg", "to_estimate_deg", "estimate_error_deg", "trembles_deg"):
@@ -114,8 +114,8 @@ def measured(
         "face": name,
         "direction": light.direction.tolist(),
         "error_deg": error,
-        "certainty_deg": math.degrees(light.certainty_rad),
-        "within": float(error <= math.degrees(light.certainty_rad)),
+        "radius_90_deg": math.degrees(light.radius_90_rad),
+        "within": float(error <= math.degrees(light.radius_90_rad)),
         **({} if trembles is None else {"trembles_deg": trembles}),
         "frame_ms": 1000 * float(np.median(each_s)),
         "lamp_direction": lamp.tolist(),

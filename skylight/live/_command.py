@@ -14,7 +14,7 @@ from tyro.conf import Positional
 
 if TYPE_CHECKING:
     from skylight.imaging._film import FilmFrame
-    from skylight.live._live import Light, LiveLight
+    from skylight.live._live import Light, Timing
 
 Decoding = tyro.conf.create_mutex_group(required=False)
 
@@ -36,16 +36,17 @@ def live(
     where the main light is, with how sure that is. Nothing leaves this machine, and nothing is
     kept but OUT.
 
-    The largest face is followed. It is quick, some 30 ms of a core for a frame, not careful:
-    `skylight estimate` of one frame, or of the film with --video, knows more.
+    The largest face is followed. It is quick, not careful: `skylight
+    estimate` of one frame, or of the film with --video, knows more.
 
     Args:
         source: A webcam's number, 0 for the first; or a film (mp4, mov, ...).
         out: Write a line of JSON a frame: time_s, frame, seen (false: no face, the last light),
             direction (towards the main light; +X right, +Y up, the camera looks along -Z),
-            certainty_deg (nine of ten are nearer), irradiance (of the main light), sh27 (all light
-            as harmonics of radiance, RGB of each) and exposure_unit (the mean radiance's
-            luminance). Of a film, which then plays once; else it begins again at its end.
+            radius_90_deg (its 90 % credible radius), irradiance (of the main light), sh27 (all
+            light as harmonics of radiance, RGB of each) and mean_luminance (of the light). A film
+            then plays once; else it begins again at its end. Frames of a webcam, and of a film on
+            the page, that come too late are left out.
         every: Look at one of so many frames.
         no_page: Show no page. A film goes as fast as it can.
         no_browser: Only say where the page is.
@@ -80,50 +81,58 @@ def live(
                         if page is not None:
                             page.show(frame, light, told.rate)
                         if file is not None:
-                            print(json.dumps(line_of(frame, light)), file=file, flush=True)
+                            print(json.dumps(line_of(frame, light)), file=file)
                 if not again:
                     break
                 found = LiveLight(found.decode)
-    print(told.summary(found, benchmark))
+    print(told.summary(found.timing if benchmark else None))
     if out is not None:
         print(f"written: {out}")
 
 
 @dataclass
 class _Told:
-    """Frames so far; ``rate`` a second is that of the last second or so."""
+    """Frames so far and the last light; ``rate`` a second is that of the last second or so.
+
+    A film that begins again has a new LiveLight, so what was seen is remembered here.
+    """
 
     frames: int = 0
     seen: int = 0
+    light: Light | None = None
+    timed: int = 0
     begun_s: float = 0.0
     cpu_s: float = 0.0
     rate: float = 0.0
     last_s: float = 0.0
 
     def count(self, light: Light | None) -> None:
-        """One more frame; time runs from the first one with a light, whose head takes longer."""
+        """One more frame; timed are those after the first light, whose head takes longer."""
         now = time.monotonic()
         if self.frames > 0:
             passed = max(now - self.last_s, 1e-6)
             share = min(passed, 1.0)
             self.rate += share * (1 / passed - self.rate) if self.rate else 1 / passed
         self.last_s = now
+        self.frames += 1
+        self.timed += self.light is not None
         if light is None:
             return
-        if self.frames == 0:
+        if self.light is None:
             self.begun_s, self.cpu_s = now, time.process_time()
-        self.frames += 1
+        self.light = light
         self.seen += light.seen
 
-    def summary(self, found: LiveLight, benchmark: bool) -> str:
-        if found.light is None:
+    def summary(self, timing: Timing | None) -> str:
+        """``timing`` is told where it is given."""
+        if self.light is None:
             return "no face was seen: show one from the front, at least 60 pixels high"
-        line = f"{self.seen} of {self.frames} frames with a face; last: {found.light.words}"
-        if not benchmark or self.frames < 2:
+        line = f"{self.seen} of {self.frames} frames with a face; last: {self.light.words}"
+        if timing is None or self.timed == 0:
             return line
-        count = self.frames - 1
+        count = self.timed
         wall_s, cpu_s = self.last_s - self.begun_s, time.process_time() - self.cpu_s
-        landmarks, light = found.timing.each_ms()
+        landmarks, light = timing.each_ms()
         return (
             f"{line}\n{count / wall_s:.1f} frames a second; {count / cpu_s:.1f} a second of a "
             f"core's time\nof a frame {1000 * cpu_s / count:.1f} ms: landmarks and pose "

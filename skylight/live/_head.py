@@ -25,15 +25,14 @@ POINTS = 400  # of the face's skin: each stands for 0.6 cm^2
 ROWS = 32  # of the directions from which light comes: cells of 5.6 degrees
 # Mean of the landmarks' errors over the distance of the eyes: rendered people have 0.02 to 0.05
 MOST_ERROR = 0.15
-POSE_STEPS = 2  # of Gauss and Newton from one frame to the next, which move landmarks by pixels
+POSE_STEPS = 2  # Gauss-Newton, from one frame to the next, which moves landmarks by pixels
 
 
 @dataclass(frozen=True, kw_only=True)
 class SkinPoints:
     """Points of a head's skin in its own frame, at rest.
 
-    ``vertices`` (p,) of the head model; ``transport`` (p,n) of light from ``grid``, and ``visible``
-    which directions they see.
+    ``vertices`` (p,) of the head model; ``transport`` (p,n) of light from ``grid``.
     """
 
     vertices: Int[ndarray, " p"]
@@ -109,7 +108,6 @@ class LiveHead:
         fit = fit_face(model, face, width, height)
         self.model = model
         self.size = width, height
-        self.facing_angle_rad = fit.facing_angle_rad
         self.state = FitState(
             rotation=fit.rotation,
             translation=fit.translation,
@@ -133,7 +131,7 @@ class LiveHead:
         )
 
     def follow(self, points: Float[ndarray, "478 2"]) -> bool:
-        """Pose and expression from the landmarks of the next frame, by steps of Gauss and Newton.
+        """Pose and expression from the landmarks of the next frame, by Gauss-Newton steps.
 
         The shape and the focal length stay. False, and as before, where landmarks are not met to
         :data:`MOST_ERROR`: it is another head, or it moved further than steps reach.

@@ -15,13 +15,13 @@ from skylight.imaging._colour import Decode
 from skylight.live._follow import FaceFollower
 from skylight.live._prior import DEGREE
 from skylight.live._solve import LOBE_RAD, LightSolver
-from skylight.sphere._envmap import luminance
+from skylight.sphere._envmap import LUMINANCE, luminance
 from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._harmonics import evaluate
 
 SETTLE_S = 0.3  # in which the light shown goes two thirds of the way to what is found
-# By this part of its certainty, and by so many degrees at least, a direction may differ before it
-# is followed faster
+# By this part of its credible radius, and by so many degrees at least, a direction may differ
+# before it is followed faster
 _JUMP_SHARE, _LEAST_JUMP_RAD = 0.5, math.radians(4.0)
 _MAP_ROWS = 16
 _Y00 = 0.5 / math.sqrt(math.pi)
@@ -32,11 +32,11 @@ class Light:
     """Light in the camera's frame: right-handed, +Y up, the camera looks along -Z.
 
     Radiance is linear Rec.709, in units of the picture's white at its exposure of the moment, and
-    supposes the skin of the mean person: over 18 rendered people its level is off by a factor of 2
-    in the median, and its channels against each other by a fifth.
+    supposes the skin of the mean person: on skin of half that albedo, it is half the truth.
 
-    ``direction`` (3,) is a unit vector towards the main light, ``certainty_rad`` the radius of the
-    cap about it that holds the truth nine times of ten (pi: nothing is known) and ``irradiance``
+    ``direction`` (3,) is a unit vector towards the main light, ``radius_90_rad`` its 90 % credible
+    radius, of the cap about it that holds so much of the posterior (pi: nothing is known; in
+    captured light fewer than 90 % of truths are within, see ``docs/live.md``), and ``irradiance``
     (3,) what a surface facing the main light receives of it. ``ambient`` (25,3) is all other light
     and ``harmonics`` (9,3) all light, as harmonics of radiance (:mod:`skylight.sphere`'s basis).
     ``seen`` is False where the face was not, and the light is the last one.
@@ -44,17 +44,17 @@ class Light:
 
     time_s: float
     direction: Float[ndarray, "3"]
-    certainty_rad: float
+    radius_90_rad: float
     irradiance: Float[ndarray, "3"]
     ambient: Float[ndarray, "25 3"]
     harmonics: Float[ndarray, "9 3"]
     seen: bool = True
 
     @property
-    def exposure_unit(self) -> float:
-        """Luminance of the mean radiance: what the light is measured against when it is compared
-        with others', whose exposure was another."""
-        return float(self.harmonics[0] @ [0.2126, 0.7152, 0.0722]) * _Y00
+    def mean_luminance(self) -> float:
+        """Luminance of the mean radiance: lights of frames of other exposures are compared when
+        each is divided by its own."""
+        return float(self.harmonics[0] @ LUMINANCE) * _Y00
 
     @property
     def main_share(self) -> float:
@@ -68,21 +68,21 @@ class Light:
         """How sure the direction is."""
         if not self.seen:
             return "no face is seen: this is the last light"
-        degrees = math.degrees(self.certainty_rad)
+        degrees = math.degrees(self.radius_90_rad)
         if degrees > 60:
             return "even light, or a light that the face does not see: its direction is unknown"
         sure = "sure" if degrees <= 12 else "about right" if degrees <= 30 else "vague"
-        return f"direction {sure}, to within {degrees:.0f} degrees nine times of ten"
+        return f"direction {sure}: 90 % credible radius {degrees:.0f} degrees"
 
     def facts(self) -> dict[str, object]:
         """Plain numbers, as files have them."""
         return {
             "seen": self.seen,
             "direction": _rounded(self.direction),
-            "certainty_deg": round(math.degrees(self.certainty_rad), 2),
+            "radius_90_deg": round(math.degrees(self.radius_90_rad), 2),
             "irradiance": _rounded(self.irradiance),
             "sh27": _rounded(self.harmonics.ravel()),
-            "exposure_unit": round(self.exposure_unit, 5),
+            "mean_luminance": round(self.mean_luminance, 5),
         }
 
     def radiance_map(self, rows: int = _MAP_ROWS) -> Float[ndarray, "h w 3"]:
@@ -121,8 +121,8 @@ class Timing:
 class LiveLight:
     """The light of frames as they come, by the face that is largest in the first that has one.
 
-    Each frame takes about 30 ms of a core. The first with a face takes half a second more: its head
-    is fitted, and what its skin sees is traced. What is found is smoothed in time: over
+    The first frame with a face takes half a second more than others: its head is fitted, and what
+    its skin sees is traced. What is found is smoothed in time: over
     :data:`SETTLE_S`, and less the further the light has gone.
 
     Parameters
@@ -179,7 +179,7 @@ class LiveLight:
         return Light(
             time_s=time_s,
             direction=solution.direction,
-            certainty_rad=solution.certainty_rad,
+            radius_90_rad=solution.radius_90_rad,
             irradiance=solution.irradiance,
             ambient=solution.ambient,
             harmonics=solution.harmonics,
@@ -189,16 +189,16 @@ class LiveLight:
 def blended(before: Light, new: Light) -> Light:
     """The light shown after ``before`` when ``new`` is found: the exponential mean in time.
 
-    Its rate grows by 1 + (angle / a)^2, a being half the new direction's certainty or 4 degrees:
-    what trembles is smoothed, and what jumps is followed at once.
+    Its rate grows by 1 + (angle / a)^2, a being half the new direction's credible radius or 4
+    degrees: what trembles is smoothed, and what jumps is followed at once.
     """
     cosine = float(np.clip(before.direction @ new.direction, -1, 1))
-    least = max(_LEAST_JUMP_RAD, _JUMP_SHARE * new.certainty_rad)
+    least = max(_LEAST_JUMP_RAD, _JUMP_SHARE * new.radius_90_rad)
     rate = (1 + (math.acos(cosine) / least) ** 2) / SETTLE_S
     gain = 1 - math.exp(-rate * max(new.time_s - before.time_s, 0.0))
     mixed = {
         name: (1 - gain) * getattr(before, name) + gain * getattr(new, name)
-        for name in ("direction", "certainty_rad", "irradiance", "ambient", "harmonics")
+        for name in ("direction", "radius_90_rad", "irradiance", "ambient", "harmonics")
     }
     length = float(np.linalg.norm(mixed["direction"]))
     mixed["direction"] = mixed["direction"] / length if length > 1e-6 else new.direction

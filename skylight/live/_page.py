@@ -1,15 +1,15 @@
 """The page of ``skylight live``: a small server of this machine, and what the page asks of it.
 
 The page is one file without anything from elsewhere. It asks for the last light as JSON, and for
-the picture it belongs to. A webcam's pictures are private: only this machine's own pages get them,
-which a Host header of another name (rebinding of names) tells apart.
+the last picture, which may be that of a later frame. A webcam's pictures are private: only this
+machine's own pages get them, which a Host header of another name (rebinding of names) tells apart.
 """
 
 import json
 import threading
 import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from urllib.parse import urlsplit
@@ -117,6 +117,10 @@ def _handler(page: LivePage) -> type[BaseHTTPRequestHandler]:
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
+
+        def handle(self) -> None:
+            with suppress(ConnectionError):  # a tab that was closed
+                super().handle()
 
         def do_GET(self) -> None:
             if not _is_own(self.headers.get("Host", "")):

@@ -1,4 +1,4 @@
-"""What light and skin are like beforehand: the moments that a live solution can use.
+"""The prior of light and skin, as the moments that a live solution can use.
 
 Live, everything is normal: the ambient light has the mean and covariance of
 :class:`~skylight.models._sphere.SphereLight` under its prior, and shading errs by the kernels

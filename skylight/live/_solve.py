@@ -20,8 +20,8 @@ over all (b, d), so that it moves as smoothly as the picture.
 
 Beside an estimate (:mod:`skylight.inverse`) it leaves out reflection by the skin's surface,
 interreflection, lamps beyond the first, which count as ambient light, and every albedo but the mean
-person's. On rendered people whose main light lights the face its direction is as good; where it
-does not, :attr:`LightSolution.certainty_rad` says so.
+person's. ``docs/live.md`` has how far both are off. Where the main light does not reach the face,
+:attr:`LightSolution.radius_90_rad` is large.
 """
 
 import math
@@ -42,7 +42,7 @@ from skylight.sphere._harmonics import evaluate
 from skylight.sphere._rotation import rotate
 
 # Set by 18 rendered people in simulated places:
-LEVELS = (0.1, 0.3, 0.6)  # b, as the part of the face that ambient light explains beforehand
+LEVELS = (0.1, 0.3, 0.6)  # b, as the part of the face that the ambient prior's mean explains
 NOISE, LEAST_NOISE_AT = 0.12, 0.4  # of a point, as part of its shading plus this
 DEGREES_OF_FREEDOM = 4.0
 MOST_SHADING = 4.0  # over the mean: a highlight's is no shading
@@ -50,11 +50,11 @@ LEAST_OF_CHANNEL = 0.05  # of the main light's luminance: lamps have all colours
 LAMP_SPREAD = 2 * math.pi  # s: of the main light's irradiance, over the albedo and the mean
 UPWARDS = 0.8  # ln of how much likelier light from above is than from ahead: lamps of rooms
 TRUST = 0.4  # the power of the evidence: the errors' model is not the errors
-LOBE_RAD = math.radians(8.0)  # as a lamp of a room is wide beforehand
+LOBE_RAD = math.radians(8.0)  # a lamp's width in a room
 # The light is a mean by this power of the density: the density itself also has what is behind the
 # head, where any lamp might be
 SHARPER = 2
-CERTAIN = 0.9
+CREDIBLE = 0.9
 # The cap that holds nine of ten errors of the head's pose, which is taken as known here: 3.4
 # degrees (root mean square, 18 rendered people) times sqrt(ln 10)
 POSE_RAD = math.radians(5.2)
@@ -67,13 +67,13 @@ class LightSolution:
 
     ``density`` (n,) over the *head's* directions sums to 1. By its square, ``direction``,
     ``irradiance`` (3,) of the main light, and harmonics of ``ambient`` (k,3) radiance and of all
-    light, ``harmonics`` (9,3), are means. ``certainty_rad`` is the radius of the cap about the
-    direction that holds :data:`CERTAIN` of the density, and of the pose's errors.
+    light, ``harmonics`` (9,3), are means. ``radius_90_rad`` is the radius of the cap about the
+    direction that holds :data:`CREDIBLE` of the density, and of the pose's errors.
     """
 
     density: Float[ndarray, " n"]
     direction: Float[ndarray, "3"]
-    certainty_rad: float
+    radius_90_rad: float
     irradiance: Float[ndarray, "3"]
     ambient: Float[ndarray, "k 3"]
     harmonics: Float[ndarray, "9 3"]
@@ -145,7 +145,7 @@ class LightSolver:
         return LightSolution(
             density=density,
             direction=camera_from_head @ direction,
-            certainty_rad=self._radius(density, direction),
+            radius_90_rad=self._radius(density, direction),
             irradiance=main.sum(0),
             ambient=turning.T @ ambient,
             harmonics=(turning.T @ every)[:9],
@@ -178,7 +178,7 @@ class LightSolver:
     def _radius(self, density: Float[ndarray, " n"], middle: Float[ndarray, "3"]) -> float:
         cosines = self._directions @ middle
         order = np.argsort(-cosines)
-        reached = int(np.searchsorted(np.cumsum(density[order]), CERTAIN))
+        reached = int(np.searchsorted(np.cumsum(density[order]), CREDIBLE))
         cosine = float(np.clip(cosines[order[min(reached, len(order) - 1)]], -1, 1))
         return min(math.hypot(math.acos(cosine), POSE_RAD), math.pi)
 
@@ -226,7 +226,7 @@ class Problem:
         return (self.precision[:, None] * self.seen).T.astype(np.float32) @ self.towards
 
     def at(self, share: float) -> "Level":
-        """With ambient light that explains such a share of the face's mean beforehand."""
+        """With ambient light whose prior mean makes such a share of the face's mean."""
         level, known = share / self.even_level, len(self.mean)
         scale = np.ones(self.ways.shape[1])
         scale[:known] = level
@@ -305,13 +305,14 @@ class Level:
     ]:
         """(main light, ambient light, shading, what is left), of directions that have a share.
 
-        All are sums over directions: of all levels they add up to means.
+        All are sums over directions: of all levels they add up to means. ``found``, the mean of
+        the ways' amounts, has the level in it already, as ``lower`` has.
         """
         problem, likely, known = self.problem, shares.sum(0), len(self.problem.mean)
         main = shares * self.strength.T
         lit = problem.towards @ main.astype(np.float32)
         found = self.lower.T @ (likely * self.inside - self.lower @ (problem.weighted.T @ lit))
-        ambient = self.level * (likely * problem.mean[:, None] + problem.root @ found[:known])
+        ambient = self.level * likely * problem.mean[:, None] + problem.root @ found[:known]
         errors = likely[0] * self.z[:, 0] - lit[:, 0] - problem.ways @ found[:, 0]
         of_ambient = problem.ways[:, :known] @ found[:known, 0]
         shading = likely[0] * self.level * problem.even + of_ambient + lit[:, 0]

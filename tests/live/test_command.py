@@ -3,18 +3,24 @@
 import json
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from skimage.data import astronaut
 
 from skylight.cli import main
 from skylight.errors import InputError
+from skylight.imaging._film import FilmFrame
 from skylight.live import _play
+from skylight.live._command import _Told
 from skylight.live._play import MOST_SIDE, played, source_of
 from tests.films import write_film
+from tests.live.test_live import some_light
 
 
 def person(x: int) -> np.ndarray:
@@ -45,8 +51,8 @@ def test_a_film_becomes_a_line_a_frame(
     for line in found:
         assert np.linalg.norm(line["direction"]) == pytest.approx(1, abs=1e-4)
         assert len(line["sh27"]) == 27
-        assert 0 < line["certainty_deg"] <= 180
-        assert line["exposure_unit"] > 0
+        assert 0 < line["radius_90_deg"] <= 180
+        assert line["mean_luminance"] > 0
     told = capsys.readouterr().out
     assert "8 of 8 frames with a face" in told
     assert "frames a second" in told
@@ -71,6 +77,7 @@ def test_a_film_without_a_face(tmp_path: Path, capsys: pytest.CaptureFixture[str
     ("arguments", "said"),
     [
         (["97"], "cannot open webcam 97: see that it is plugged in"),
+        (["99999999999"], "webcams are numbered from 0 to 99"),
         (["nothing.mp4"], "there is no such file"),
         (["{text}"], "give a video such as .mp4"),
         (["{text}", "--every", "0"], "--every must be 1 or more"),
@@ -104,13 +111,15 @@ def test_a_film_in_time_takes_as_long_as_it_is(film: Path) -> None:
 
 
 class Camera:
-    """Gives so many frames, each when it is asked for after ``pause_s``."""
+    """Gives so many frames, each when it is asked for after ``pause_s``; then it may fail."""
 
-    def __init__(self, count: int, pause_s: float) -> None:
-        self.count, self.pause_s, self.taken = count, pause_s, 0
+    def __init__(self, count: int, pause_s: float, failure: Exception | None = None) -> None:
+        self.count, self.pause_s, self.failure, self.taken = count, pause_s, failure, 0
 
     def read(self) -> tuple[bool, np.ndarray | None]:
         if self.taken == self.count:
+            if self.failure is not None:
+                raise self.failure
             return False, None
         time.sleep(self.pause_s)
         self.taken += 1
@@ -139,3 +148,71 @@ def test_a_webcam_that_gives_nothing_is_told() -> None:
         pytest.raises(InputError, match="webcam 3 gives no picture"),
     ):
         list(newest.frames())
+
+
+@pytest.mark.parametrize(
+    ("failure", "said"),
+    [(None, "it gives no more pictures"), (cv2.error("the driver\nis gone"), "the driver is gone")],
+    ids=["unplugged", "driver"],
+)
+def test_why_a_webcam_ended_is_told_at_once(
+    failure: Exception | None, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    begun = time.monotonic()
+    with _play._Newest(Camera(2, 0.01, failure), 3) as newest:
+        assert list(newest.frames())
+    assert time.monotonic() - begun < 5
+    told = capsys.readouterr()
+    assert told.out == f"webcam 3 ended: {said}\n"
+    assert told.err == ""
+
+
+def test_an_error_of_the_reading_thread_is_raised_where_frames_are_asked_for() -> None:
+    with (
+        _play._Newest(Camera(2, 0.01, ValueError("a bug")), 3) as newest,
+        pytest.raises(ValueError, match="a bug"),
+    ):
+        list(newest.frames())
+
+
+def in_time(
+    monkeypatch: pytest.MonkeyPatch, *, decoding_s: float, looking_s: float
+) -> list[tuple[int, float]]:
+    """(frame, time) of 100 frames, ten a second, as they are shown by a clock of this test."""
+    now = [0.0]
+
+    def passed(seconds: float) -> None:
+        now[0] += seconds
+
+    def frames() -> Iterator[FilmFrame]:
+        for k in range(100):
+            passed(decoding_s)
+            yield FilmFrame(number=k, time_s=k / 10, codes=np.zeros((1, 1, 3), np.uint8))
+
+    monkeypatch.setattr(_play, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=passed))
+    shown = []
+    for frame in _play._shown(frames()):
+        shown.append((frame.number, now[0]))
+        passed(looking_s)
+    return shown
+
+
+def test_a_film_that_decodes_slowly_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At half its rate, something is shown every 0.7 s, to the end."""
+    shown = in_time(monkeypatch, decoding_s=0.2, looking_s=0.0)
+    assert np.diff([at for _, at in shown]).max() < 0.75
+    assert shown[-1][0] > 95
+
+
+def test_who_looks_slowly_stays_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By leaving out frames: two of three, when each is looked at for 0.3 s."""
+    shown = in_time(monkeypatch, decoding_s=0.001, looking_s=0.3)
+    assert max(abs(at - number / 10) for number, at in shown) < 0.11
+    assert 30 <= len(shown) <= 36
+
+
+def test_what_was_seen_before_a_film_began_again_is_not_forgotten() -> None:
+    told = _Told()
+    for light in (None, some_light(np.array([0.0, 0.0, 1.0]), 0.0), None, None):
+        told.count(light)
+    assert told.summary(None).startswith("1 of 4 frames with a face; last: direction sure")

@@ -24,13 +24,16 @@ def test_points_are_spread_over_the_face() -> None:
 
 
 def test_transport_is_that_of_all_rays() -> None:
+    """But for 1 % of the entries, which make up 1 % of no point's shading."""
     skin = mean_skin()
     some = slice(0, None, 20)
     normals = torch.from_numpy(skin.normals[some].copy())
     whole = diffuse_transport(
         torch.from_numpy(skin.positions[some].copy()), normals, normals, mean_caster(), skin.grid
     ).matrix.numpy()
-    assert np.abs(whole.sum(1) - skin.transport[some].sum(1)).max() < 0.02
+    apart = np.abs(whole - skin.transport[some])
+    assert (apart > 1e-6).mean() < 0.01  # narrow occluders and gaps that no cast ray met
+    assert apart.sum(1).max() < 0.01
 
 
 def test_the_pose_is_followed_through_turns_and_words() -> None:

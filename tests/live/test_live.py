@@ -33,11 +33,11 @@ def moved(picture: np.ndarray, x: float, y: float, turn_deg: float = 0.0) -> np.
     return cv2.warpAffine(picture, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE)
 
 
-def some_light(towards: np.ndarray, time_s: float, certainty_rad: float = 0.1) -> Light:
+def some_light(towards: np.ndarray, time_s: float, radius_90_rad: float = 0.1) -> Light:
     return Light(
         time_s=time_s,
         direction=towards,
-        certainty_rad=certainty_rad,
+        radius_90_rad=radius_90_rad,
         irradiance=np.array([1.0, 0.9, 0.8]),
         ambient=np.zeros((25, 3)),
         harmonics=np.ones((9, 3)),
@@ -46,7 +46,7 @@ def some_light(towards: np.ndarray, time_s: float, certainty_rad: float = 0.1) -
 
 @pytest.mark.parametrize("sun", [BESIDE, (-130.0, 40.0)])
 def test_the_sun_of_a_rendered_person(sun: tuple[float, float]) -> None:
-    """Of oily skin, whose highlights are not modelled: within 16 degrees, and its own certainty."""
+    """Of oily skin, whose highlights are not modelled: within 16 degrees, and its own radius."""
     live = LiveLight()
     for k in range(3):
         light = live.update(face(*sun), 0.1 * k)
@@ -54,7 +54,7 @@ def test_the_sun_of_a_rendered_person(sun: tuple[float, float]) -> None:
     assert light.seen
     error = angle_deg(light.direction, direction(*sun).numpy())
     assert error < 16
-    assert error < math.degrees(light.certainty_rad)
+    assert error < math.degrees(light.radius_90_rad)
     assert "direction" in light.words
 
 
@@ -175,7 +175,7 @@ def test_shares_and_units() -> None:
         }
     )
     assert light.main_share == pytest.approx(0.5)
-    assert light.exposure_unit == pytest.approx(0.5, rel=1e-4)
+    assert light.mean_luminance == pytest.approx(0.5, rel=1e-4)
     facts = light.facts()
     assert len(facts["sh27"]) == 27  # type: ignore[arg-type]
     assert facts["direction"] == [0.0, 1.0, 0.0]

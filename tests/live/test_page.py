@@ -2,6 +2,9 @@
 
 import json
 import socket
+import struct
+import threading
+import time
 from collections.abc import Iterator
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
@@ -89,6 +92,26 @@ def test_nothing_is_asked_of_another_machine(served: tuple[LivePage, int]) -> No
     assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
     assert b"http://" not in html
     assert b"https://" not in html
+
+
+@pytest.mark.parametrize("requests", [1, 300], ids=["between", "while pages are sent"])
+def test_a_tab_that_closes_is_no_error(
+    served: tuple[LivePage, int], requests: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its socket is reset, while the server waits for it or writes to it."""
+    _, port = served
+    before = threading.active_count()
+    tab = socket.create_connection(("127.0.0.1", port), timeout=10)
+    tab.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * requests)
+    assert tab.recv(1) == b"H"
+    assert threading.active_count() > before
+    tab.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    tab.close()
+    deadline = time.monotonic() + 10
+    while threading.active_count() > before and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert threading.active_count() == before
+    assert capsys.readouterr().err == ""
 
 
 def test_a_port_that_is_taken_is_told() -> None:

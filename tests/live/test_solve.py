@@ -47,13 +47,13 @@ def test_one_lamp_is_found_where_it_is(towards: np.ndarray, yaw: float) -> None:
     """Within 6.5 degrees (a cell is 5.6 wide), and no surer than that; strength and ambient light
     to four tenths, of the light that the mean person would need to look so.
 
-    That a light is in front is only known from how dark the sides are: its certainty is little.
+    That a light is in front is only known from how dark the sides are: the radius is large.
     """
     rotation = turned(yaw, 5.0)
     light = found(lit(towards, MAIN, AMBIENT), rotation)
     error = angle_deg(light.direction, rotation @ towards)
     assert error < 6.5
-    assert error < math.degrees(light.certainty_rad) < (35 if towards[2] < 0.9 else 180)
+    assert error < math.degrees(light.radius_90_rad) < (35 if towards[2] < 0.9 else 180)
     np.testing.assert_allclose(light.irradiance, OTHER_SKIN * MAIN, rtol=0.4)
     mean_radiance = light.ambient[0] * 0.5 / math.sqrt(math.pi)
     np.testing.assert_allclose(mean_radiance, OTHER_SKIN * AMBIENT, rtol=0.4)
@@ -62,13 +62,13 @@ def test_one_lamp_is_found_where_it_is(towards: np.ndarray, yaw: float) -> None:
 def test_even_light_has_no_direction_and_its_own_radiance() -> None:
     rotation = turned(10.0)
     light = found(lit(unit(0, 0, 1), 0 * MAIN, AMBIENT), rotation)
-    assert math.degrees(light.certainty_rad) > 60
+    assert math.degrees(light.radius_90_rad) > 60
     mean_radiance = light.harmonics[0] * 0.5 / math.sqrt(math.pi)
     np.testing.assert_allclose(mean_radiance, OTHER_SKIN * AMBIENT, rtol=0.5)
 
 
 def test_the_light_turns_with_the_head_about_the_vertical() -> None:
-    """Beforehand, light is alike all round; above and below it is not."""
+    """By the prior, light is alike all round; above and below it is not."""
     colours, weights = lit(unit(1, 0.5, 0.6), MAIN, AMBIENT), facing_weights(turned(0.0))
     one = LightSolver(mean_skin()).solve(colours, weights, turned(0.0))
     turn = turned(70.0)
@@ -88,7 +88,7 @@ def test_twice_the_exposure_is_twice_the_light_from_the_same_direction() -> None
     colours = lit(unit(-1, 0.8, 0.6), MAIN, AMBIENT)
     one, twice = found(colours, rotation), found(colours, rotation, scale=2.0)
     np.testing.assert_allclose(twice.direction, one.direction, atol=1e-5)
-    np.testing.assert_allclose(twice.certainty_rad, one.certainty_rad, atol=1e-4)
+    np.testing.assert_allclose(twice.radius_90_rad, one.radius_90_rad, atol=1e-4)
     np.testing.assert_allclose(twice.harmonics, 2 * one.harmonics, rtol=1e-4, atol=1e-4)
 
 
@@ -121,8 +121,10 @@ def test_turning_harmonics_is_orthogonal_and_turns_light() -> None:
     )
 
 
-def test_evidence_and_strength_are_those_of_dense_matrices() -> None:
-    """Of 40 directions, ln N(z; 0, K + s^2 t t^T) 2 Phi(m / v) and the mean of E, in float64."""
+@pytest.mark.parametrize("share", LEVELS)
+def test_all_of_a_level_is_that_of_dense_matrices(share: float) -> None:
+    """Of 40 directions, ln N(z; 0, K + s^2 t t^T) 2 Phi(m / v), the mean of E and, given that, the
+    ambient light b mu + b^2 S B^T K^-1 (z - E t), which with the lamp makes the shading."""
     rotation, towards = turned(15.0), unit(0.9, 0.5, 0.6)
     colours, weights = lit(towards, MAIN, AMBIENT), facing_weights(rotation)
     y = np.repeat((colours @ [0.2126, 0.7152, 0.0722])[:, None], 4, axis=1)
@@ -130,11 +132,12 @@ def test_evidence_and_strength_are_those_of_dense_matrices() -> None:
     solver = LightSolver(mean_skin())
     problem = solver.problem(y, weights, head_from_camera(rotation))
     used = weights > 0
-    level = problem.at(LEVELS[1])
+    level = problem.at(share)
     mean, root = ambient_moments()
-    basis = mean_skin().transport[used] @ evaluate(mean_skin().grid.directions, 4).numpy()
-    basis = basis @ head_from_camera(rotation)
-    b = LEVELS[1] / problem.even_level
+    whole_basis = mean_skin().transport @ evaluate(mean_skin().grid.directions, 4).numpy()
+    turning = head_from_camera(rotation)
+    basis = whole_basis[used] @ turning
+    b = share / problem.even_level
     z = y[used, 0] - b * basis @ mean
     covariance = b**2 * basis @ root @ root.T @ basis.T + np.diag(1 / problem.precision[used])
     errors = problem.ways[used][:, len(mean) :]
@@ -154,3 +157,13 @@ def test_evidence_and_strength_are_those_of_dense_matrices() -> None:
         assert level.evidence[d] - log == pytest.approx(constant, abs=0.05)
         truncated = m + v * math.exp(norm.logpdf(m / v) - norm.logcdf(m / v))
         assert level.strength[0, d] == pytest.approx(truncated, rel=0.02, abs=0.01)
+        shares = np.zeros((2048, 4))
+        shares[d] = 1
+        main, ambient, shading, left = level.explained(shares)
+        rest = np.linalg.solve(covariance, z - main[d, 0] * t)
+        mean_ambient = turning @ (b * mean + b**2 * root @ root.T @ basis.T @ rest)
+        np.testing.assert_allclose(ambient[:, 0], mean_ambient, atol=1e-3 * abs(mean_ambient[0]))
+        np.testing.assert_allclose(
+            whole_basis @ ambient[:, 0] + main[d, 0] * problem.towards[:, d], shading, atol=1e-5
+        )
+        np.testing.assert_allclose(left[used], rest / problem.precision[used], atol=1e-3)
