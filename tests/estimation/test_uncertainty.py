@@ -3,16 +3,14 @@
 import json
 import math
 
-import numpy as np
 import pytest
 import torch
-from matplotlib.figure import Figure
 
 from skylight.estimation._summary import (
     describe_posterior,
-    draw_region,
     edge_density,
     posterior_map,
+    region_lines,
     sure_of_the_sun,
 )
 from skylight.inverse._posterior import SunPosterior, region_parts, smallest_region
@@ -93,16 +91,13 @@ def test_a_lobe_that_holds_a_little_less_than_the_region_is_drawn_alone():
 
 @pytest.mark.parametrize("rows", [64, 128])
 def test_the_contour_runs_round_the_sun_at_the_regions_border(rows: int):
-    axes = Figure().add_subplot()
-    axes.set_xlim(0, 2 * rows - 1)
-    draw_region(axes, posterior_about((40.0, 50.0)), rows)
-    outline = np.asarray(axes.collections[0].get_paths()[0].vertices)
+    (outline,) = region_lines(posterior_about((40.0, 50.0)), rows)
     sun = direction_from_angles(*torch.tensor([40.0, 50.0]).double().deg2rad())
     row, column = pixel_from_direction(sun, rows, 2 * rows)
     height = (outline[:, 1].max() - outline[:, 1].min()) / 2 * 180 / rows
     assert height == pytest.approx(12.3, abs=1.5)
     assert outline[:, 0].mean() == pytest.approx(float(column), abs=1)
     assert outline[:, 1].mean() == pytest.approx(float(row), abs=1)
-    empty = Figure().add_subplot()
-    draw_region(empty, posterior_about((40.0, 50.0), is_seen=False), rows)
-    assert not empty.collections
+    assert region_lines(posterior_about((40.0, 50.0), is_seen=False), rows) == []
+    behind = region_lines(posterior_about((179.0, 50.0)), rows)  # over the map's seam
+    assert {bool(line[:, 0].mean() > rows) for line in behind} == {False, True}
