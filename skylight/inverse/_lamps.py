@@ -383,20 +383,20 @@ class LampsProblem(LightProblem):
             )
             for some in family.apart(towards)
         ]
-        told = [_sun_log_density(objective, one, clock) for one in groups]
-        groups = [
-            replace(one, scores=one.scores - weights.sun_prior * t)
-            for one, t in zip(groups, told, strict=True)
-        ]
+
+        def drawn_by(told: Sequence[Tensor], points: Sequence[Iterates]) -> list[Iterates]:
+            return [
+                replace(one, scores=one.scores - weights.sun_prior * t)
+                for one, t in zip(points, told, strict=True)
+            ]
+
+        groups = drawn_by([_sun_log_density(objective, one, clock) for one in groups], groups)
         for stage, objective in stages:
             ends = descend(objective, groups, stage, self.options.tolerance)
             told = [_sun_log_density(objective, one, clock) for one in ends]
             costs = [one.scores - t for one, t in zip(ends, told, strict=True)]
             best = [cost.argmin() for cost in costs]
-            drawn = [
-                replace(one, scores=one.scores - weights.sun_prior * t)
-                for one, t in zip(ends, told, strict=True)
-            ]
+            drawn = drawn_by(told, ends)
             least = min(float(cost.min()) for cost in costs)
             # what the evidence is that of goes on too
             groups = [

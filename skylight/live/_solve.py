@@ -284,15 +284,13 @@ class Level:
         a: float | Float[ndarray, " n"],
         without: float | Float[ndarray, " n"],
     ) -> Float[ndarray, " n"]:
-        gain = 1 + LAMP_SPREAD**2 * a
-        m, v = LAMP_SPREAD**2 * c / gain, LAMP_SPREAD / np.sqrt(gain)
+        m, v, gain = _lamp(c, a)
         return 0.5 * (m * c - np.log(gain) - without) + log_ndtr(m / v) - self.log_factor
 
     @property
     def strength(self) -> Float[ndarray, "4 n"]:
         """Mean irradiance E from each direction: of a normal that is cut off at 0."""
-        gain = 1 + LAMP_SPREAD**2 * self.across
-        m, v = LAMP_SPREAD**2 * self.along / gain, LAMP_SPREAD / np.sqrt(gain)
+        m, v, _ = _lamp(self.along, self.across)
         ratio = m[0] / v
         # m + v phi / Phi of the luminance; what is added is added to each channel
         cut = v * np.exp(-0.5 * (ratio**2 + math.log(2 * math.pi)) - log_ndtr(ratio))
@@ -317,3 +315,11 @@ class Level:
         of_ambient = problem.ways[:, :known] @ found[:known, 0]
         shading = likely[0] * self.level * problem.even + of_ambient + lit[:, 0]
         return main, ambient, shading, errors
+
+
+def _lamp(
+    c: Float[ndarray, "*k n"], a: float | Float[ndarray, " n"]
+) -> tuple[Float[ndarray, "*k n"], float | Float[ndarray, " n"], float | Float[ndarray, " n"]]:
+    """(m, v, 1 + s^2 A) of the module's text: E without its sign."""
+    gain = 1 + LAMP_SPREAD**2 * a
+    return LAMP_SPREAD**2 * c / gain, LAMP_SPREAD / np.sqrt(gain), gain
