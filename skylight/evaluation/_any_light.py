@@ -28,7 +28,7 @@ from skylight.evaluation._tables import LABELS
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._posterior import SunPosterior
 from skylight.inverse._result import Lamp
-from skylight.inverse._scores import LEAST_SHARE, MapLamp, find_lamps
+from skylight.inverse._scores import LEAST_SHARE, MapLamp, find_lamps, sphere_scores
 from skylight.io._files import write_png
 from skylight.models._lamps import LampsLight
 from skylight.people._files import read_scene_facts
@@ -75,6 +75,8 @@ class AnyLight(KnownFaceEvaluation):
       include the truth's main lamp.
     * ``whole_level``, ``lower_level``, ``whole_colour``, ``lower_colour`` and ``log_radiance``: the
       errors of :func:`level_scores`.
+    * ``mirror_si_rmse`` and others of three spheres: :func:`sphere_scores`, in the picture's
+      white balance, which is that of the truth.
 
     Faces that have one are grouped by what is behind them (``background``).
     """
@@ -122,7 +124,9 @@ class AnyLight(KnownFaceEvaluation):
         for name, environment in environments.items():
             estimate = found.estimates.get(name)
             gains = torch.ones(3) if estimate is None else estimate.white_balance
-            metrics[name] |= level_scores(in_picture(environment, gains), face.environment)
+            seen = in_picture(environment, gains)
+            metrics[name] |= level_scores(seen, face.environment)
+            metrics[name] |= sphere_scores(seen, face.environment)
         for name, estimate in found.estimates.items():
             own = lamps_of(estimate.light, estimate.lamps, estimate.environment)
             metrics[name] |= lamp_scores(own, lamps)

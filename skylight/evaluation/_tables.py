@@ -93,6 +93,12 @@ LABELS = {
     "lower_colour": "colour of the lower half, log units",
     "lower_level": "level of the lower half, log units",
     "log_radiance": "log radiance over the sphere, log units",
+    "mirror_si_rmse": "si-RMSE, mirror sphere",
+    "silver_si_rmse": "si-RMSE, silver sphere",
+    "diffuse_si_rmse": "si-RMSE, diffuse sphere",
+    "mirror_angle_deg": "colour, mirror sphere, deg",
+    "silver_angle_deg": "colour, silver sphere, deg",
+    "diffuse_angle_deg": "colour, diffuse sphere, deg",
     "pose_deg": "pose error, deg",
     "in_region": "true sun in the 90 % region",
     "region_sr": "90 % region of the sun, sr",
@@ -133,6 +139,7 @@ _RENI_ROWS: list[tuple[str, list[str]]] = [
 ]
 _RENI_COLUMNS = ["27 floats", "108 floats", "147 floats", "300 floats"]
 _RENI = "RENI++ (Gardner et al.), tone-mapped PSNR in dB on 21 held-out outdoor maps, "
+_SPHERES = ["si-RMSE diffuse", "silver", "mirror", "colour diffuse, deg", "silver", "mirror"]
 _LEVELS = ("whole_colour", "whole_level", "lower_colour", "lower_level", "log_radiance")
 # Heading, columns, rows: what others measured by the same protocol, on their own maps.
 PEERS: dict[str, tuple[str, list[str], list[tuple[str, list[str]]]]] = {
@@ -147,6 +154,24 @@ PEERS: dict[str, tuple[str, list[str], list[tuple[str, list[str]]]]] = {
         "these maps are than theirs:",
         _RENI_COLUMNS,
         _RENI_ROWS,
+    ),
+    "any-light": (
+        "Three spheres as published (Liang et al. 2025, LuxDiT, Table 1, means): from a view of a "
+        "place where ours is from a face, other maps, and pictures of spheres by another renderer "
+        "after another tone mapping, so a scale and no contest:",
+        _SPHERES,
+        [
+            ("StyleLight, Laval Indoor", ["0.135", "0.315", "0.552", "4.238", "4.742", "6.781"]),
+            (
+                "DiffusionLight, Laval Indoor",
+                ["0.124", "0.325", "0.597", "2.500", "3.421", "5.936"],
+            ),
+            ("LuxDiT, Laval Indoor", ["0.112", "0.297", "0.586", "2.555", "3.526", "5.641"]),
+            ("StyleLight, Poly Haven", ["0.138", "0.336", "0.620", "3.034", "4.272", "6.602"]),
+            ("NLFE, Poly Haven", ["0.159", "0.326", "0.571", "3.305", "4.240", "5.180"]),
+            ("DiffusionLight, Poly Haven", ["0.113", "0.270", "0.519", "2.199", "3.121", "4.104"]),
+            ("LuxDiT, Poly Haven", ["0.077", "0.196", "0.442", "1.235", "1.977", "2.783"]),
+        ],
     ),
 }
 

@@ -231,8 +231,30 @@ def _score_spheres(scores: Scores, predicted: EnvironmentMap, truth: Environment
             for name, metric in (("rmse", rmse), ("mae", mae)):
                 values = scores.setdefault(f"{material}_{name}", {})
                 values[alignment] = metric(aligned, true[material])
-        scores[f"{material}_si_rmse"] = {SCALE_FREE: si_rmse(picture, true[material])}
-        scores[f"{material}_angle_deg"] = {SCALE_FREE: angular_error_deg(picture, true[material])}
+        for name, value in _scale_free(material, picture, true[material]).items():
+            scores[name] = {SCALE_FREE: value}
+
+
+def sphere_scores(estimate: EnvironmentMap, truth: EnvironmentMap) -> dict[str, float]:
+    """Of each of the three spheres (:func:`render_spheres`), whatever the scale of the estimate.
+
+    ``{material}_si_rmse`` is the RMSE at the factor of least squares over the truth's mean,
+    ``{material}_angle_deg`` the :func:`angular_error_deg`.
+    """
+    shown, true = render_spheres(estimate), render_spheres(truth)
+    scores: dict[str, float] = {}
+    for material, picture in shown.items():
+        scores |= _scale_free(material, picture, true[material])
+    return scores
+
+
+def _scale_free(
+    material: SphereMaterial, picture: Float[Tensor, "m 3"], true: Float[Tensor, "m 3"]
+) -> dict[str, float]:
+    return {
+        f"{material}_si_rmse": si_rmse(picture, true),
+        f"{material}_angle_deg": angular_error_deg(picture, true),
+    }
 
 
 CAP_RAD = math.radians(15)

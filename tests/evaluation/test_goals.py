@@ -236,7 +236,9 @@ def test_every_number_has_a_label_and_every_table_its_neighbour() -> None:
         *("mae", "rmse", "si_rmse", "mae_aligned", "rmse_aligned", "brightness", "ssim"),
         *("full_dw_mae", "sky_dw_mae", "sun_dw_mae", "sun_dw_mae_fixed", "sun_angle_deg"),
         *("main_lamp_deg", "lamps_found", "whole_colour", "whole_level", "lower_colour"),
-        *("lower_level", "log_radiance", "pose_deg", "in_region", "region_sr", "psnr"),
+        *("lower_level", "log_radiance", "mirror_si_rmse", "silver_si_rmse", "diffuse_si_rmse"),
+        *("mirror_angle_deg", "silver_angle_deg", "diffuse_angle_deg"),
+        *("pose_deg", "in_region", "region_sr", "psnr"),
         *("tone_mapped_ssim", "floats", "floats_per_activation", "l2", "srgb_rmse", "srgb_psnr"),
         *("srgb_ssim", "blotch", "srgb_rmse_skin", "srgb_psnr_skin", "srgb_ssim_skin"),
         *("blotch_skin", "seconds", "cpu_seconds", "photos_per_minute"),
@@ -254,8 +256,13 @@ def test_every_number_has_a_label_and_every_table_its_neighbour() -> None:
         assert methods == ["sh9", "sh25", "sunsky", "autoencoder"]
     assert "autoencoder_feedforward" in tables.TABLE_5_1.rows
     # Gardner et al. 2023, at 27, 108, 147 and 300 floats
-    (_, columns, rows), (_, *same) = tables.PEERS.values()
+    (_, columns, rows), (_, *same), (_, spheres, published) = tables.PEERS.values()
     assert same == [columns, rows]
+    assert all(len(cells) == len(spheres) for _, cells in published)
+    # Liang et al. 2025, Table 1
+    assert dict(published)["DiffusionLight, Poly Haven"] == [
+        "0.113", "0.270", "0.519", "2.199", "3.121", "4.104",
+    ]  # fmt: skip
     assert columns == ["27 floats", "108 floats", "147 floats", "300 floats"]
     assert dict(rows) == {
         "RENI++": ["18.02", "20.87", "21.13", "22.10"],

@@ -1,6 +1,7 @@
 """The three spheres: closed forms, an independent integral, and Mitsuba's pictures."""
 
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from skylight.inverse._scores import (
     SphereMaterial,
     angular_error_deg,
     render_spheres,
+    sphere_scores,
     sphere_transport,
 )
 from skylight.sphere._envmap import EnvironmentMap
@@ -164,3 +166,24 @@ def test_colours_apart_by_a_known_angle() -> None:
 def test_a_sky_alone_is_refused() -> None:
     with pytest.raises(InputError, match="all round"):
         render_spheres(EnvironmentMap(radiance=torch.ones(8, 32, 3)))
+
+
+def test_scores_of_spheres_know_colour_and_no_scale() -> None:
+    """Twice as bright is as good; light (1,1,1) called (1,1,0) is acos(sqrt(2/3)) off."""
+    truth = smooth_map()
+    scores = sphere_scores(EnvironmentMap(radiance=2 * truth.radiance), truth)
+    assert set(scores) == {
+        f"{material}_{metric}"
+        for material in get_args(SphereMaterial)
+        for metric in ("si_rmse", "angle_deg")
+    }
+    assert max(scores.values()) < 1e-4
+    white = EnvironmentMap(radiance=torch.ones(LIGHT_ROWS, 2 * LIGHT_ROWS, 3))
+    yellow = EnvironmentMap(radiance=white.radiance * torch.tensor([1.0, 1.0, 0.0]))
+    off = sphere_scores(yellow, white)
+    for material in get_args(SphereMaterial):
+        assert off[f"{material}_angle_deg"] == pytest.approx(
+            math.degrees(math.acos(math.sqrt(2 / 3))), abs=1e-3
+        )
+        # a = 2 / 2, and one channel of three is missing: sqrt(1/3) of the mean
+        assert off[f"{material}_si_rmse"] == pytest.approx(math.sqrt(1 / 3), rel=1e-3)
