@@ -68,14 +68,13 @@ from skylight.portrait._room import (
     veil_of,
     white_of,
 )
-from skylight.portrait._surface import BUST, FACE_PX, HAIR, PersonSurface
+from skylight.portrait._surface import BUST, FACE_PX, HAIR, SKIN, PersonSurface
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.work._progress import Progress
 
 # Of what the skin shows in any channel. Estimates take too much for specular reflection, most of
 # all of over-exposed skin; of the darkest skin a correct specular scale is cut too.
 MOST_SPECULAR = 0.4
-SKIN = (Region.FACE, Region.LIPS, Region.EAR, Region.NECK, Region.BROW)
 FRONT = (Region.FACE, Region.LIPS, Region.BROW)  # where the model fits
 # Of the old picture: nothing more than is no light, the skin's brightness, or all of the place but
 # where its light comes from.
@@ -268,7 +267,7 @@ class Portrait:
     def shaded_by(
         self, light: EnvironmentMap
     ) -> tuple[Float[ndarray, "p q 3"], Float[ndarray, "p q 3"]]:
-        """(S, g) of the module's text under a light, 0 where there is no surface."""
+        """(S, g) of the module's text under a light, 0 where there is no skin."""
         return _images(self.person, light, self.specular_scale, grey=self.grey)
 
     def _behind(self, light: EnvironmentMap) -> Float[ndarray, "3"]:
@@ -326,10 +325,10 @@ def _images(
     *,
     grey: bool,
 ) -> tuple[Float[ndarray, "p q 3"], Float[ndarray, "p q 3"]]:
-    """(S, g) of the module's text as pictures, 0 where there is no surface."""
+    """(S, g) of the module's text as pictures, 0 where there is no skin."""
     shading = person.shade(light, SKIN_SPECULAR)
     diffuse, specular = (
-        float32(person.surface.image(each).numpy())
+        float32(person.image(each).numpy())
         for each in (shading.diffuse, specular_scale * shading.specular)
     )
     if grey:

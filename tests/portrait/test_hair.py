@@ -101,8 +101,7 @@ def test_it_shades_the_forehead_below_a_fringe(fit: FaceFit) -> None:
         for hair in (None, drawn(slice(0, round(fringe))))
     )
     images = [
-        one.surface.image(one.shade(light, SKIN_SPECULAR).diffuse).numpy()[..., 0]
-        for one in (bald, hairy)
+        one.image(one.shade(light, SKIN_SPECULAR).diffuse).numpy()[..., 0] for one in (bald, hairy)
     ]
     regions = hairy.region_image()
     assert (regions == HAIR).any()

@@ -144,8 +144,8 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
 
     ``picture`` (h,w,4) has the photograph's sRGB codes, cut off at white, and its matte; ``crop``
     (left, top, width, height) is the part of the shading's picture, ``size`` (width, height), that
-    holds person and surface; ``places`` (m,) are the points' in it. ``visible`` (m,256) has a bit
-    for each of 32 x 64 directions, the lowest first. ``marks`` (h,w,3) are U of
+    holds person and surface; ``places`` (m,) are the skin's points in it. ``visible`` (m,256) has
+    a bit for each of 32 x 64 directions, the lowest first. ``marks`` (h,w,3) are U of
     :class:`~skylight.portrait._gain.Unseen`, from -:data:`_UNSEEN` to that in 255 steps, and
     :func:`~skylight.portrait._room.base_of` from ``ln DARKEST`` to 0, and how much shows skin.
     ``found_power`` is
@@ -156,12 +156,12 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     ``share`` is :meth:`~skylight.portrait._gain.Surface.share` of the crop, ``outline`` how its
     outline leans (:mod:`skylight.portrait._edge`) and how far it has the colour of skin.
     """
-    surface, fill = portrait.person.surface, fill_of(portrait.found)
+    person, fill = portrait.person, fill_of(portrait.found)
     level = brightness_of_ball(fill)
     fill_shading, fill_specular = (
         image @ LUMINANCE_WEIGHTS / np.float32(level) for image in portrait.shaded_by(fill)
     )
-    rows, columns = np.nonzero(portrait.on.covered)  # row by row, as the surface has them
+    rows, columns = person.surface.pixels[person.skin].numpy().T
     left, top, width, height = _crop(portrait)
 
     def within(image: Float[ndarray, "p q *c"]) -> Float[ndarray, "k l *c"]:
@@ -190,9 +190,9 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "share": torch.from_numpy(within(portrait.on.share())),
         "outline": torch.from_numpy(within(np.dstack([portrait.leaning, portrait.colour.alike]))),
         "places": torch.from_numpy((rows - top) * width + columns - left).int(),
-        "normals": portrait.person.normals.float(),
-        "views": -normalize(surface.positions, dim=1).float(),
-        "visible": _bits(portrait.person.sight.visible),
+        "normals": person.normals.float(),
+        "views": -normalize(person.surface.positions[person.skin], dim=1).float(),
+        "visible": _bits(person.sight.visible),
         "found_power": coarse_power(portrait.found).float(),
         "found_map": portrait.found.resize(min(_MAP_ROWS, portrait.found.layout[0])).radiance,
     }

@@ -173,7 +173,8 @@ def test_the_fill_is_one_number_times_its_occlusion(taken_apart: TakenApart) -> 
     tensors, metadata = read_tensors(taken_apart.file)
     facts, portrait = json.loads(metadata["facts"]), taken_apart.portrait
     shading, _ = portrait.shaded_by(fill_of(portrait.found))
-    want = shading[portrait.on.covered > 0]
+    person = portrait.person
+    want = shading[tuple(person.surface.pixels[person.skin].T.numpy())]
     ours = facts["fill"] * tensors["occlusion"].numpy()
     np.testing.assert_allclose(ours, want @ np.array(LUMINANCE), rtol=1e-3, atol=1e-6)
 
