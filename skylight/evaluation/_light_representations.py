@@ -40,7 +40,7 @@ from skylight.sphere._envmap import EnvironmentMap, luminance
 ROWS = 64
 WHITE = 10.0  # what the quantile is when representations are fitted
 DEGREES = (2, 5, 6, 9)  # of harmonics
-LAMPS = (0, 3, 6)
+LAMPS = (0, 3, 4)
 LEAST_LAMP = 0.003  # of all light
 
 
