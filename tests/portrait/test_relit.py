@@ -16,7 +16,14 @@ from skylight.imaging._edits import UNEDITED, Edit
 from skylight.portrait._gain import BRIGHTER, DARKER, HUE, bounded, level_of, soft_matte
 from skylight.portrait._relit import MOST_SPECULAR, Keep, Portrait, shared_light, upright_irradiance
 from skylight.portrait._room import OTHER_BRIGHTER, OTHER_DARKER
-from skylight.portrait._surface import BUST, PersonSurface, Shading, scaled, softened
+from skylight.portrait._surface import (
+    BUST,
+    PersonSurface,
+    Shading,
+    region_image,
+    scaled,
+    softened,
+)
 from skylight.sphere._envmap import LUMINANCE, EnvironmentMap
 from skylight.transport._reflection import specular_lobe
 from tests.sunny_face import direction, sunny_face
@@ -65,7 +72,7 @@ def portrait(
         light,
         SPECULAR_SCALE,
         np.full(picture.shape[:2], hair, np.float32),
-        (person().region_image() >= 0).astype(np.float32),
+        (region_image(person()) >= 0).astype(np.float32),
         grey=grey,
         edit=edit,
     )
@@ -77,7 +84,7 @@ def of_the_model(light: EnvironmentMap) -> Portrait:
 
 
 def on_skin() -> np.ndarray:
-    return np.isin(person().region_image(), (Region.FACE, Region.NECK))
+    return np.isin(region_image(person()), (Region.FACE, Region.NECK))
 
 
 def test_a_softened_map_keeps_light_where_it_is() -> None:
@@ -113,7 +120,7 @@ def test_shading_in_the_open_is_lamberts_and_the_lobes() -> None:
 
 
 def test_head_and_bust_are_seen_and_the_head_shades_the_bust() -> None:
-    regions = person().region_image()
+    regions = region_image(person())
     assert (regions == BUST).sum() > 20
     assert (regions == Region.FACE).sum() > 500
     above = EnvironmentMap(radiance=torch.zeros(64, 128, 3)).with_light(
@@ -139,7 +146,7 @@ def test_a_person_of_the_model_is_relit_as_the_model_is(keep: Keep) -> None:
     old, new = sunny(50.0, 45.0), sunny(-60.0, 35.0)
     picture, exposure = of_the_model(old).under(new, keep=keep)
     want = exposure * image(new)
-    inner = person().region_image() == Region.FACE
+    inner = region_image(person()) == Region.FACE
     error = np.abs(picture - want)[inner].mean() / want[inner].mean()
     unchanged = np.abs(image(old) * exposure - want)[inner].mean() / want[inner].mean()
     assert error < 0.1  # shading is smoothed by 2 % of the face's height, and gains are bounded
@@ -156,7 +163,7 @@ def test_a_moved_light_keeps_the_colour_of_skin_and_what_lies_behind() -> None:
     old = sunny(50.0, 45.0)
     blue = EnvironmentMap(radiance=sunny(-60.0, 35.0).radiance * torch.tensor([0.5, 0.8, 1.6]))
     seen = image(old)
-    behind = person().region_image() < 0
+    behind = region_image(person()) < 0
     seen[behind] = 0.25
     one = portrait(old, seen)
     moved, _ = one.under(blue, keep="place")
@@ -215,14 +222,14 @@ def test_what_the_limit_of_specular_reflection_costs_the_darkest_skin() -> None:
 def test_neck_and_clothes_follow_the_face() -> None:
     """In light from the left as well as from the right: brighter on that side, and by less."""
     old = even(0.4)
-    deep = cv2.erode((person().region_image() == BUST).astype(np.uint8), np.ones((3, 3))) > 0
+    deep = cv2.erode((region_image(person()) == BUST).astype(np.uint8), np.ones((3, 3))) > 0
     columns = np.indices(deep.shape)[1]
     for azimuth, sign in ((-120.0, -1), (120.0, 1)):
         picture, _ = of_the_model(old).under(sunny(azimuth, 60.0), keep="brightness")
         gain = np.log((picture @ LUMINANCE_ + 1e-6) / (image(old) @ LUMINANCE_ + 1e-6))
         slopes = [
             np.polyfit(columns[where], gain[where], 1)[0]
-            for where in (on_skin(), person().region_image() == Region.NECK, deep)
+            for where in (on_skin(), region_image(person()) == Region.NECK, deep)
         ]
         of_face, *others = (sign * slope for slope in slopes)
         assert all(0.002 < slope < 0.95 * of_face for slope in others)
@@ -313,7 +320,7 @@ def test_grey_shadows_get_the_colour_of_skin_with_their_new_light() -> None:
 def test_a_white_collar_is_not_taken_for_grey_skin() -> None:
     """On the neck of the model, where a photograph shows cloth: as bright as skin, and grey."""
     light = sunny(50.0, 45.0)
-    neck = (person().region_image() == Region.NECK).astype(np.uint8)
+    neck = (region_image(person()) == Region.NECK).astype(np.uint8)
     collar = cv2.erode(neck, np.ones((5, 5), np.uint8)) > 0
     assert collar.sum() > 50
     seen = image(light)
@@ -326,7 +333,7 @@ def test_highlights_without_colour_get_that_of_skin_as_they_get_darker() -> None
     """What is near white is grey where it is only made darker; by a bounded change, none unlit."""
     old = hard(120.0)
     seen = image(old)
-    face = person().region_image() == Region.FACE
+    face = region_image(person()) == Region.FACE
     bright = (seen @ LUMINANCE_ > np.quantile(seen[face] @ LUMINANCE_, 0.85)) & face
     pale = seen.copy()
     pale[bright] = 0.8 * (pale[bright] + (pale[bright] @ LUMINANCE_)[:, None])  # and brighter
@@ -347,7 +354,7 @@ def test_cloth_keeps_its_colour_where_the_place_stays() -> None:
     one = portrait(light, image(light))
     picture, _ = one.under(sunny(-60.0, 60.0), keep="place")
     away = cv2.dilate(one.on.bare, np.ones((7, 7), np.uint8)) == 0
-    cloth = (person().region_image() == BUST) & away
+    cloth = (region_image(person()) == BUST) & away
     assert cloth.sum() > 10
     ratio = picture[cloth] / image(light)[cloth]
     np.testing.assert_allclose(ratio, ratio.mean(1, keepdims=True) * np.ones(3), rtol=1e-3)
@@ -357,7 +364,7 @@ def test_cloth_keeps_its_colour_where_the_place_stays() -> None:
 def test_a_key_light_leaves_what_is_black_and_what_is_white() -> None:
     """Clothes at the camera's black and at white, below a face that is lit from below."""
     old, new = even(0.4), sunny(180.0, 130.0)
-    cloth = cv2.erode((person().region_image() == BUST).astype(np.uint8), np.ones((3, 3))) > 0
+    cloth = cv2.erode((region_image(person()) == BUST).astype(np.uint8), np.ones((3, 3))) > 0
     gains: list[np.ndarray] = []
     for level in (0.002, 0.1, 0.97):
         seen = image(old)
