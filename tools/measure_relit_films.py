@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
+from PIL import Image
 from skimage.data import astronaut
 
 from skylight.estimation._kept import KeptFace
@@ -30,6 +31,7 @@ from skylight.estimation.film._results import relightable
 from skylight.imaging._film import film_frames
 from skylight.imaging._film_writer import written_film
 from skylight.imaging._photo import read_codes
+from skylight.io._atomic import atomic_path
 from skylight.io._files import write_png
 from skylight.portrait._files import relit_portrait, shown
 from skylight.portrait._film import relight_film
@@ -138,6 +140,22 @@ def changes(
         person = (_blocks(there) > 0.999) & (_blocks(relit.astype(np.float32)) > 0.5)
         x, y, wide, high = (each // BLOCK_PX for each in FACE_PX)
         yield float(np.abs(off[person]).mean()), abs(float(off[y : y + high, x : x + wide].mean()))
+
+
+def write_sheet(
+    path: Path,
+    before: Sequence[UInt8[ndarray, "h w 3"]],
+    after: Sequence[UInt8[ndarray, "h w 3"]],
+) -> None:
+    """The heads of the frames, as they were and relit below."""
+    left, top, side = SHEET_PX
+    rows = [
+        np.hstack([codes[top : top + side, left : left + side] for codes in film])
+        for film in (before, after)
+    ]
+    sheet = Image.fromarray(np.vstack(rows))
+    with atomic_path(path) as temporary:
+        sheet.resize((sheet.width // 2, sheet.height // 2)).save(temporary, quality=90)
 
 
 def _gain(before: UInt8[ndarray, "h w 3"], after: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "h w"]:

@@ -156,6 +156,7 @@ class _Relighter:
         self.found = light_in_photo(film)
         self.carried, self.before = Carried(), dict[Path, Gains]()
         self.matte: Float[ndarray, "h w"] | None = None
+        self.hair: Float[ndarray, "h w"] | None = None
         self.portrait: Portrait | None = None
         self.held: Held | None = None
         self.factors: Mapping[Path, float] = {}
@@ -186,7 +187,7 @@ class _Relighter:
         some = [one for n, photo in seen.items() if (one := self._taken_apart(photo, n))]
         if not some:
             raise InputError(f"{film.file}: no skin of the face can be relit; choose another film")
-        self.held = Held.of(some)
+        self.held, self.matte = Held.of(some), None
         if self.keep == "brightness":
             self.factors = {
                 path: float(np.median([self._own(path, one, np.eye(3)).factor for one in some]))
@@ -211,6 +212,10 @@ class _Relighter:
         fit = self._fit(n, photo)
         person = self.head.at(fit, self.poses.turns[n])
         hair = hair_of(photo.pixels, HeadModel.load(), fit)
+        if self.hair is not None:  # in single frames skin is taken for it
+            hair = self.carried.mixed(self.hair, hair)
+        if self.held is not None:
+            self.hair = hair
         hairy, matte = cut_out(photo, person, hair, before)
         for _ in range(SETTLED if before is None and self.held is not None else 0):
             hairy, matte = cut_out(photo, person, hair, matte)
@@ -240,7 +245,7 @@ class _Relighter:
     def cut(self) -> None:
         """What comes next has nothing to do with what came before."""
         self.carried.forget()
-        self.before, self.matte, self.portrait = {}, None, None
+        self.before, self.matte, self.hair, self.portrait = {}, None, None, None
 
     def gains(self, frame: FilmFrame, n: int) -> Mapping[Path, Gains]:
         """Of a frame in each light, none where it is black."""

@@ -74,15 +74,16 @@ class Carried:
 
     def mean(self, before: Gains, now: Gains) -> Gains:
         """The module's g_k, of the last frame's g and this frame's own gains."""
-        times = self._mixed(before.times, now.times)
+        times = self.mixed(before.times, now.times)
         edge = now.edge
         if edge is not None and before.edge is not None:
-            edge = self._mixed(before.edge, edge)
+            edge = self.mixed(before.edge, edge)
         return replace(now, times=times, edge=edge)
 
-    def _mixed(
+    def mixed(
         self, before: Float[ndarray, "h w *c"], now: Float[ndarray, "h w *c"]
     ) -> Float[ndarray, "h w *c"]:
+        """The same of anything that is found anew in every frame."""
         moved = self.moved(before)
         if moved is None or self._trust is None:
             return now

@@ -22,6 +22,7 @@ from skylight.imaging._edits import Edit
 from skylight.imaging._film import film_frames
 from skylight.imaging._film_writer import written_film
 from skylight.inverse._result import Lamp
+from skylight.portrait import _film as film_module
 from skylight.portrait._film import relight_film, relit_frames
 from skylight.portrait._keys import key_light
 from skylight.portrait._moving import LIT, MovingHead
@@ -239,6 +240,27 @@ class TestARelitFilm:
         # and it is the key light: the left of the face becomes brighter against its right
         face = np.log(together[3].mean(2))[90:190, 82:182]
         assert face[:, :40].mean() > face[:, 60:].mean() + 0.3
+
+    def test_a_frame_whose_skin_is_taken_for_hair_is_lit_like_the_one_before(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        film = kept(written(tmp_path / "film.mkv", frames(2)))
+        light, seen = {LEFT: key_light(film, "left")}, film_poses(film)
+        (_, usual) = relit_frames(film, seen, light, workers=1)
+        calls = 0
+
+        def hair_of(pixels: torch.Tensor, *_: object) -> np.ndarray:
+            nonlocal calls
+            calls += 1
+            # one look at the frame that is traced, two for what frames share, one at each
+            return np.full(tuple(pixels.shape[:2]), 1.0 if calls == 5 else 0.0, np.float32)
+
+        monkeypatch.setattr(film_module, "hair_of", hair_of)
+        (_, wrong) = relit_frames(film, seen, light, workers=1)
+        assert calls == 5
+        face = np.s_[90:190, 82:182]
+        off = np.log(wrong.gains[LEFT].times[face] / usual.gains[LEFT].times[face])
+        assert np.abs(off).mean() < 0.03
 
     def test_frames_without_the_face_are_as_they_were(self, tmp_path: Path) -> None:
         empty = np.full((256, 256, 3), 90, np.uint8)
