@@ -253,20 +253,14 @@ def _estimate_film(
     rate: float,
     progress: ProgressForm,
 ) -> None:
-    from skylight.estimation._report import SOME_FILES
-    from skylight.estimation.film._estimate import FOLLOWING, FilmSettings, estimate_film
-    from skylight.estimation.film._results import film_summary, write_film_results
-    from skylight.work._resumable import SETTINGS, keep_settings, locked, results_folder
+    from skylight.estimation.film._estimate import FilmSettings
+    from skylight.estimation.film._results import estimate_film_into, film_summary
 
     out = out or Path(f"{film.resolve().stem}_light")
     chosen = FilmSettings(estimate=settings, keyframes=keyframes, rate=rate)
-    facts = chosen.facts(film)
     try:
-        with stage_bar(progress) as tell, locked(out, out / FOLLOWING):
-            keep_settings(out / SETTINGS, facts)
-            result = estimate_film(film, out, chosen, tell)
-            with results_folder(out, SOME_FILES) as folder:
-                write_film_results(folder, result, source=str(film))
+        with stage_bar(progress) as tell:
+            result = estimate_film_into(out, film, chosen, tell)
     except KeyboardInterrupt:
         raise SkylightError(f"interrupted; the same command goes on with {out}") from None
     for advice in result.advice:

@@ -8,6 +8,7 @@ import json
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -109,7 +110,16 @@ class KeptFace:
         )
 
 
-FoundLight = Estimate | KeptFace  # whose light a new one is made of
+@runtime_checkable
+class FoundLight(Protocol):
+    """Whose light a new one is made of: an estimate, or what is kept of one or of a film's."""
+
+    @property
+    def environment(self) -> EnvironmentMap: ...
+    @property
+    def white_balance(self) -> Float[Tensor, "3"]: ...
+    @property
+    def lamps(self) -> tuple[Lamp, ...]: ...
 
 
 def write_face(folder: Path, face: KeptFace) -> None:
@@ -131,7 +141,7 @@ def write_face(folder: Path, face: KeptFace) -> None:
     if face.reflection.head_error is not None:
         tensors["head_error"] = face.reflection.head_error
     facts = {
-        "photo": None if file is None else _from(folder, file),
+        "photo": None if file is None else way_to(folder, file),
         "sha256": None if file is None else file_hash(file),
         "decode": face.decode,
         "name": face.name,
@@ -147,7 +157,7 @@ def write_face(folder: Path, face: KeptFace) -> None:
     write_tensors(folder / KEPT, tensors, {"facts": json.dumps(facts)})
 
 
-def _from(folder: Path, file: Path) -> str:
+def way_to(folder: Path, file: Path) -> str:
     """The way from the results to the photograph, which may be moved together."""
     # results are written into a folder within the one that they move to
     results = folder.parent if folder.name.startswith(PARTIAL) else folder
@@ -214,7 +224,7 @@ def read_face(folder: Path, photo: Photo | None = None) -> KeptFace:
         ) from error
     file = None
     if photo is None:
-        file = _photograph(folder, where, sha256)
+        file = kept_file(folder, where, sha256)
         photo = read_photo(file, decode=decode)
     if photo.encoded.shape[:2] != (fit.camera.height, fit.camera.width):
         raise InputError(f"{kept['name']}: not of the size that was estimated; estimate it again")
@@ -230,17 +240,23 @@ def read_face(folder: Path, photo: Photo | None = None) -> KeptFace:
     )
 
 
-def _photograph(folder: Path, where: str | None, sha256: str | None) -> Path:
-    """The file of the photograph of the results in ``folder``."""
+def kept_file(
+    folder: Path,
+    where: str | None,
+    sha256: str | None,
+    kind: Literal["photograph", "film"] = "photograph",
+) -> Path:
+    """The file that the results in ``folder`` were made of."""
     if where is None:
-        raise InputError(f"{folder}: made of no file, so the photograph is not known: name it")
+        raise InputError(f"{folder}: made of no file, so the {kind} is not known: name it")
     file = Path(os.path.normpath(folder.resolve() / where))
     if not file.is_file():
         raise InputError(
-            f"{folder}: its photograph is gone from {file}: put it back, or name the photograph"
+            f"{folder}: its {kind} is gone from {file}: put it back, or name the {kind}"
         )
     if file_hash(file) != sha256:
+        other = "picture" if kind == "photograph" else kind
         raise InputError(
-            f"{file}: another picture than the one estimated into {folder}; estimate it again"
+            f"{file}: another {other} than the one estimated into {folder}; estimate it again"
         )
     return file

@@ -444,7 +444,7 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
 
 # what `skylight estimate` writes of some photographs or films, and not of all
 SOME_FILES = re.compile(
-    r"mesh(_[1-9][0-9]*)?\.obj|probe_[0-9]{3}\.exr|(film|estimate)\.json|person\.safetensors"
+    r"mesh(_[1-9][0-9]*)?\.obj|probe_[0-9]{3}\.exr|(film|estimate)\.json|(film|person)\.safetensors"
 )
 
 

@@ -118,6 +118,7 @@ def person_matte(
     bust: Bool[ndarray, "p q"],
     hair: Float32[ndarray, "p q"],
     face_px: float,
+    before: Float[ndarray, "h w"] | None = None,
 ) -> Float32[ndarray, "h w"]:
     """How much of each pixel of an sRGB picture is a person, from 0 to 1.
 
@@ -126,12 +127,19 @@ def person_matte(
     which learns the colours of what is sure and decides about the rest; of its result the part
     that holds the head is kept, and its border follows the picture's edges by a guided filter (He
     et al. 2013). Same input, same matte.
+
+    ``before`` is a film's last matte, moved to where things are in this picture: GrabCut starts
+    from it where nothing is sure, and so ends beside it.
     """
     size = head.shape[::-1]
     small = cv2.resize(encoded, size, interpolation=cv2.INTER_AREA)
     labels = np.full(head.shape, cv2.GC_BGD, np.uint8)
     labels[_grown(head | bust | (hair > _HAIR), REACH * face_px)] = cv2.GC_PR_BGD
     labels[_grown(head | (hair > _HAIR), SURE * face_px) | bust] = cv2.GC_PR_FGD
+    if before is not None:
+        was = cv2.resize(before.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+        labels[was & (labels == cv2.GC_PR_BGD)] = cv2.GC_PR_FGD
+        labels[~was & (labels == cv2.GC_PR_FGD)] = cv2.GC_PR_BGD
     labels[hair > _SURE_HAIR] = cv2.GC_FGD
     labels[_shrunk(head, SURE * face_px) | _shrunk(bust, SURE_BUST * face_px)] = cv2.GC_FGD
     if not np.isin(labels, (cv2.GC_BGD, cv2.GC_PR_BGD)).any():
@@ -143,7 +151,7 @@ def person_matte(
         labels,
         (0, 0, 0, 0),  # of a rectangle to start from: the mask does
         *models,
-        _GRABCUT_ITERATIONS,
+        _GRABCUT_ITERATIONS if before is None else 1,
         cv2.GC_INIT_WITH_MASK,
     )
     inside = np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))

@@ -12,9 +12,10 @@ import torch
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from skylight.faces._fit import FIRST_OF_SHAPE, FitProblem, FitState, camera_project, fit_face
-from skylight.faces._landmarks import MESH_EYES, DetectedFace
-from skylight.faces._model import Basis, HeadModel, PosedHead, Region, mesh_whitening
+from skylight.faces._fit import FitState, fit_face
+from skylight.faces._landmarks import DetectedFace
+from skylight.faces._model import HeadModel, Region
+from skylight.faces._next_pose import followed_pose
 from skylight.sphere._frame import DirectionGrid
 from skylight.transport._cameras import Camera
 from skylight.transport._rays import Raycaster
@@ -23,9 +24,6 @@ from skylight.transport._visibility import adaptive_visibility
 
 POINTS = 400  # of the face's skin: each stands for 0.6 cm^2
 ROWS = 32  # of the directions from which light comes: cells of 5.6 degrees
-# Mean of the landmarks' errors over the distance of the eyes: rendered people have 0.02 to 0.05
-MOST_ERROR = 0.15
-POSE_STEPS = 2  # Gauss-Newton, from one frame to the next, which moves landmarks by pixels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,27 +74,6 @@ def face_points() -> Int[ndarray, " p"]:
     return found
 
 
-class TrackedMesh:
-    """MediaPipe's mesh as one glance has it, for :class:`~skylight.faces._fit.FitProblem`.
-
-    Errors have the second moment of those on rendered people; those of one glance are somewhat
-    larger than those of the mean of six, which counts for nothing where the shape is known.
-    """
-
-    def __init__(self, model: HeadModel, points: Float[ndarray, "478 2"]) -> None:
-        right, left = MESH_EYES
-        self.basis: Basis = model.mesh_basis
-        self.target = points[model.mesh_points]
-        rows = [int(np.flatnonzero(model.mesh_points == point)[0]) for point in MESH_EYES]
-        self.eyes = rows[0], rows[1]
-        self.whiten = mesh_whitening() / float(np.linalg.norm(points[left] - points[right]))
-
-    def points(self, head: PosedHead) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3 p"]]:
-        mean, by_identity, by_expression = self.basis
-        placed = mean + by_identity @ head.identity + by_expression @ head.expression
-        return placed, np.concatenate(self.basis[1:], 2)
-
-
 class LiveHead:
     """One person's head: shape and focal length from a first look, then a pose for each frame.
 
@@ -133,26 +110,11 @@ class LiveHead:
     def follow(self, points: Float[ndarray, "478 2"]) -> bool:
         """Pose and expression from the landmarks of the next frame, by Gauss-Newton steps.
 
-        The shape and the focal length stay. False, and as before, where landmarks are not met to
-        :data:`MOST_ERROR`: it is another head, or it moved further than steps reach.
+        The shape and the focal length stay. False, and as before, where it is another head, or it
+        moved further than :func:`~skylight.faces._next_pose.followed_pose` reaches.
         """
-        seen = TrackedMesh(self.model, points)
-        problem = FitProblem(self.model, seen, *self.size, None)
-        shape, state = len(self.state.identity), self.state
-        free = np.r_[0:6, FIRST_OF_SHAPE + shape : FIRST_OF_SHAPE + shape + problem.expressions]
-        for _ in range(POSE_STEPS):
-            gap, jacobian = problem.residuals(state)
-            prior, slope = problem.prior(state)
-            moving = jacobian[:, free]
-            hessian = moving.T @ moving + np.diag(slope[free] ** 2)
-            step = np.zeros(jacobian.shape[1])
-            step[free] = -np.linalg.solve(hessian, moving.T @ gap + (slope * prior)[free])
-            state = state.stepped(step, shape)
-        placed = seen.points(state)[0] @ state.rotation.T + state.translation
-        gap = camera_project(self.camera, placed) - seen.target
-        right, left = seen.target[list(seen.eyes)]
-        error = np.linalg.norm(gap, axis=1).mean() / np.linalg.norm(left - right)
-        if not (placed[:, 2] < 0).all() or not error < MOST_ERROR:
+        state = followed_pose(self.model, self.state, points, self.size)
+        if state is None:
             return False
         self.state = state
         return True

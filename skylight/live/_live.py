@@ -14,7 +14,7 @@ from skylight.errors import InputError
 from skylight.imaging._colour import Decode
 from skylight.live._follow import FaceFollower
 from skylight.live._prior import DEGREE
-from skylight.live._solve import LOBE_RAD, LightSolver
+from skylight.live._solve import LOBE_RAD, LightSolver, lobes_on
 from skylight.sphere._envmap import LUMINANCE, luminance
 from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._harmonics import evaluate
@@ -89,13 +89,11 @@ class Light:
         """A small lat-long map (``rows`` x twice as many): ambient light, 0 at least, and the main
         light as a lobe of 8 degrees."""
         grid = DirectionGrid.latlong(rows)
-        directions = grid.directions.numpy()
         radiance = evaluate(grid.directions, DEGREE).numpy() @ self.ambient
         # cells of 11 degrees are wider than the lobe
         width = max(LOBE_RAD, math.pi / rows / 2)
-        lobe = np.exp((directions @ self.direction - 1) / width**2)
-        lobe /= grid.solid_angles.numpy() @ lobe
-        radiance = radiance.clip(min=0) + lobe[:, None] * self.irradiance
+        lobe = lobes_on(grid, self.direction[None], width)
+        radiance = radiance.clip(min=0) + lobe * self.irradiance
         return radiance.reshape(rows, 2 * rows, 3)
 
 

@@ -20,9 +20,9 @@ import numpy as np
 from skylight.errors import InputError
 from skylight.imaging._film import FilmFrame
 from skylight.live._live import Light
+from skylight.work._own_host import is_own
 
 HOST = "127.0.0.1"
-_OWN = (HOST, "localhost")
 _JPEG_QUALITY = 85
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -123,7 +123,7 @@ def _handler(page: LivePage) -> type[BaseHTTPRequestHandler]:
                 super().handle()
 
         def do_GET(self) -> None:
-            if not _is_own(self.headers.get("Host", "")):
+            if not is_own(self.headers.get("Host", ""), HOST):
                 self._answer(403, "text/plain", b"open this page as http://127.0.0.1 with its port")
                 return
             path = urlsplit(self.path).path
@@ -149,10 +149,3 @@ def _handler(page: LivePage) -> type[BaseHTTPRequestHandler]:
             """Nothing: the terminal is for what is found."""
 
     return Handler
-
-
-def _is_own(host: str) -> bool:
-    try:
-        return urlsplit(f"//{host}").hostname in _OWN
-    except ValueError:
-        return False

@@ -38,6 +38,7 @@ from skylight.faces._skin import SkinPrior
 from skylight.live._head import SkinPoints
 from skylight.live._prior import DEGREE, ambient_moments, pigments, shape_errors
 from skylight.sphere._envmap import LUMINANCE
+from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._harmonics import evaluate
 from skylight.sphere._rotation import rotate
 
@@ -85,6 +86,15 @@ def head_from_camera(camera_from_head: Float[ndarray, "3 3"]) -> Float[ndarray, 
     return rotate(unit, torch.from_numpy(camera_from_head.T.copy())).T.numpy()
 
 
+def lobes_on(
+    grid: DirectionGrid, towards: Float[ndarray, "k 3"], width_rad: float
+) -> Float[ndarray, "n k"]:
+    """``exp((<w, t> - 1) / width^2)`` about each of the directions t, whose integral on the grid
+    is 1."""
+    lobes = np.exp((grid.directions.numpy() @ towards.T - 1) / width_rad**2)
+    return lobes / (grid.solid_angles.numpy() @ lobes)
+
+
 class LightSolver:
     """Light on one person's head. What points are worth is remembered from frame to frame."""
 
@@ -93,8 +103,7 @@ class LightSolver:
         self._solid_angles = skin.grid.solid_angles.numpy()
         self._harmonics = evaluate(skin.grid.directions, DEGREE).numpy()
         self._basis = skin.transport @ self._harmonics
-        lobes = np.exp((self._directions @ self._directions.T - 1) / LOBE_RAD**2)
-        lobes /= self._solid_angles @ lobes  # integrate to 1
+        lobes = lobes_on(skin.grid, self._directions, LOBE_RAD)
         self._towards = (skin.transport @ lobes).astype(np.float32)
         self._inlier = np.ones(len(skin.vertices))
         self._shading: Float[ndarray, " p"] | None = None

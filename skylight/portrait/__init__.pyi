@@ -3,6 +3,9 @@ from ._files import (
     relit_portrait as relit_portrait,
     write_relit as write_relit,
 )
+from ._film import (
+    relight_film as relight_film,
+)
 from ._keys import (
     KEYS as KEYS,
     key_light as key_light,

@@ -1,9 +1,10 @@
-"""``skylight relight-portrait``: a photographed person in another light."""
+"""``skylight relight-portrait``: a photographed or filmed person in another light."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
@@ -76,9 +77,13 @@ def relight_portrait(
     line for each that is finished, and the same command again goes on. What fails is passed over
     and listed at the end, and the exit code is 0 unless all failed.
 
+    Of a film (mp4, mov, ...) the light is estimated once, into FILM_light beside what is written,
+    as `skylight estimate FILM --video` does, and every frame is relit by it, steadily. That folder
+    may be named in the film's place, for another key. There is no sound in what is written.
+
     Args:
-        photo: Picture of a face: JPEG, PNG, TIFF, HEIC, EXR, Radiance HDR or RAW; or a folder of
-            an estimate, of estimates, or of pictures.
+        photo: Picture of a face: JPEG, PNG, TIFF, HEIC, EXR, Radiance HDR or RAW; a film of one;
+            or a folder of an estimate, of estimates, or of pictures.
         key: One key light over a dim, even fill: from the left or right of whoever
             looks at the picture, from the top, from behind (rim), from the front; or all of these.
         angle: A key light at AZ,EL: degrees from the camera towards the viewer's right (180 is
@@ -103,9 +108,9 @@ def relight_portrait(
         place: Where the photograph was taken, as for `skylight estimate`.
         face: Whose: faces are counted from 1, the largest.
         device: Where light is traced and optimised.
-        out: The picture: .png (8-bit sRGB) or .exr (linear, in the photograph's units); or a folder
-            for several. By default PHOTO's name with the light's, as me_left.png, in the current
-            folder; of a folder, its name with _relit.
+        out: The picture: .png (8-bit sRGB) or .exr (linear, in the photograph's units); of a film,
+            .mp4, or .mkv without loss; or a folder for several. By default PHOTO's name with the
+            light's, as me_left.png, in the current folder; of a folder, its name with _relit.
         gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
         linear: The picture's values are proportional to light, instead of sRGB.
         workers: Of a folder: processes that work at the same time; 0 for one per core.
@@ -173,18 +178,22 @@ def relight_portrait(
         decode="linear" if linear else gamma,
     )
     wanted = _Wanted(photo=photo, lights=lights, exposure=2.0**ev, out=out, settings=settings)
-    is_estimate = (photo / ESTIMATED).is_file()
-    if not photo.is_dir() or is_estimate:
-        if workers or retry_failed:
-            raise InputError(
-                f"{'--workers' if workers else '--retry-failed'} is for a folder of pictures or "
-                f"estimates, and {photo} is none"
-            )
-        _relight_one(wanted, is_estimate=is_estimate)
-    elif (photo / OF_FILM).is_file():
-        raise InputError(f"{photo}: the light of a film: relight its frames as a folder of them")
-    else:
+    from skylight.imaging._film import FILM_SUFFIXES
+
+    is_estimate, of_film = ((photo / name).is_file() for name in (ESTIMATED, OF_FILM))
+    is_film = of_film or (photo.suffix.lower() in FILM_SUFFIXES and not photo.is_dir())
+    if photo.is_dir() and not is_estimate and not is_film:
         _relight_folder(wanted, workers, retry_failed)
+        return
+    if workers or retry_failed:
+        raise InputError(
+            f"{'--workers' if workers else '--retry-failed'} is for a folder of pictures or "
+            f"estimates, and {photo} is none"
+        )
+    if is_film:
+        _relight_film(wanted, is_estimate=of_film)
+    else:
+        _relight_one(wanted, is_estimate=is_estimate)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,6 +205,11 @@ class _Wanted:
     exposure: float
     out: Path | None
     settings: EstimateSettings
+    suffixes: tuple[str, str] = (".png", ".exr")  # of what is written, the usual one first
+
+    @property
+    def endings(self) -> str:
+        return f"a {self.suffixes[0]} or {self.suffixes[1]}"
 
     def refuse_settings(self) -> None:
         """What was estimated is not estimated otherwise."""
@@ -210,34 +224,42 @@ class _Wanted:
             if getattr(chosen, name) != getattr(usual, name):
                 raise InputError(
                     f"{option}: the light of {self.photo} is estimated already; leave it out, or "
-                    "name the photograph"
+                    "name what it was estimated of"
                 )
 
     def pictures(self, stem: str) -> dict[Path, AskedLight]:
-        """Where each light's goes, for one photograph."""
-        out, named = self.out, {f"{stem}_{each.name}.png": each for each in self.lights}
+        """Where each light's goes, for one photograph or film."""
+        out, usual = self.out, self.suffixes[0]
+        named = {f"{stem}_{each.name}{usual}": each for each in self.lights}
         if out is None:
             return {Path(name): each for name, each in named.items()}
         if out.suffix == "" or out.is_dir():
             return {out / name: each for name, each in named.items()}
-        if out.suffix.lower() not in (".png", ".exr"):
-            raise InputError(f"{out}: write a .png or an .exr, or into a folder")
+        if out.suffix.lower() not in self.suffixes:
+            raise InputError(f"{out}: write {self.endings}, or into a folder")
         if len(named) > 1:
             raise InputError(
                 f"{out}: {len(named)} lights are as many pictures: name a folder for them"
             )
         return {out: self.lights[0]}
 
+    def make_places(self, pictures: Collection[Path]) -> None:
+        """A folder for the pictures where one is asked for; or see that each has its place."""
+        if self.out is not None and self.out not in pictures:
+            if self.out.is_file():
+                raise InputError(f"{self.out} is a file: name a folder, {self.endings}")
+            require_place(self.out.resolve().parent / "picture.png")
+            self.out.mkdir(exist_ok=True)
+        for path in pictures:
+            require_place(path)
+
 
 def _relight_one(wanted: _Wanted, *, is_estimate: bool) -> None:
     from skylight.estimation._kept import KeptFace, read_face
     from skylight.estimation._photos import Pictures
-    from skylight.imaging._film import FILM_SUFFIXES
     from skylight.portrait._asked import written_pictures
 
     photo = wanted.photo
-    if photo.suffix.lower() in FILM_SUFFIXES:
-        raise InputError(f"{photo} is a film: relight its frames as a folder of them")
     kept: KeptFace | None = None
     if is_estimate:
         wanted.refuse_settings()
@@ -247,13 +269,7 @@ def _relight_one(wanted: _Wanted, *, is_estimate: bool) -> None:
     for path in pictures:
         if file is not None and path.resolve() == file.resolve():
             raise InputError(f"{path} is the photograph itself: name another picture")
-    if wanted.out is not None and wanted.out not in pictures:
-        if wanted.out.is_file():
-            raise InputError(f"{wanted.out} is a file: name a folder, a .png or an .exr")
-        require_place(wanted.out.resolve().parent / "picture.png")
-        wanted.out.mkdir(exist_ok=True)
-    for path in pictures:
-        require_place(path)
+    wanted.make_places(pictures)
     with stage_bar() as progress:
         if kept is None:
             found = Pictures.of([photo], wanted.settings, progress=progress).estimate()
@@ -273,6 +289,57 @@ def _relight_one(wanted: _Wanted, *, is_estimate: bool) -> None:
     for note in dict.fromkeys(notes):
         take_care(note)
     print("\n".join(lines))
+
+
+def _relight_film(wanted: _Wanted, *, is_estimate: bool) -> None:
+    from skylight.estimation.film._estimate import FilmSettings
+    from skylight.estimation.film._kept import read_film
+    from skylight.estimation.film._results import relightable
+    from skylight.imaging._film import require_film
+    from skylight.portrait._film import relight_film
+
+    wanted = replace(wanted, suffixes=(".mp4", ".mkv"))
+    film, folder, kept = wanted.photo, wanted.photo, None
+    if is_estimate:
+        wanted.refuse_settings()
+        kept = read_film(folder)
+        film = kept.file
+    else:
+        require_film(film)
+        # beside what is written, where skylight estimate would put it
+        folder = Path(f"{film.resolve().stem}_light")
+    films = wanted.pictures(film.resolve().stem)
+    for path in films:
+        if path.resolve() == film.resolve():
+            raise InputError(f"{path} is the film itself: name another one")
+    wanted.make_places(films)
+    if not is_estimate:
+        folder = next(iter(films)).parent / folder
+    try:
+        with stage_bar() as progress:
+            if kept is None:
+                settings = FilmSettings(estimate=wanted.settings)
+                kept = relightable(folder, film, settings, progress)
+            made = {path: light.make(kept) for path, light in films.items()}
+            notes = relight_film(
+                kept,
+                made,
+                keep=wanted.lights[0].keep,
+                exposure=wanted.exposure,
+                progress=progress,
+            )
+    except KeyboardInterrupt:
+        raise SkylightError(
+            "interrupted; no film is left half written, and the same command goes on with the "
+            f"light in {folder}"
+        ) from None
+    for note in dict.fromkeys([*notes, *(note for one in made.values() for note in one.notes)]):
+        take_care(note)
+    print(f"verdict     {kept.verdict}")
+    if not is_estimate:
+        print(f"light       {folder}, which can be named for another key")
+    for path in films:
+        print(path)
 
 
 def _relight_folder(wanted: _Wanted, workers: int, retry_failed: bool) -> None:

@@ -184,22 +184,27 @@ class SkinColour:
         base: Float[ndarray, "p q"],
         plain: Float[ndarray, "p q"],
         on: Surface,
+        lacks: Float[ndarray, "n 3"] | None = None,
     ) -> "SkinColour":
-        """Of a linear picture at the size of shading, and where albedo is ``plain``."""
+        """Of a linear picture at the size of shading, and where albedo is ``plain``.
+
+        What skin ``lacks`` is found where it is not given."""
         steps = np.linspace(math.log(DARKEST), 0, STEPS, dtype=np.float32)
         width = steps[1] - steps[0]
         shown = colour_of(blurred(picture, plain, EXACT * on.face_px))
         skin = plain > 0
         usual = np.median(base[skin])
         mean = np.average(shown[skin], 0, np.exp(-(((base[skin] - usual) / width) ** 2) / 2))
-        near = np.exp(-(((base[skin] - steps[:, None]) / width) ** 2) / 2)
-        lacks = near @ (mean - shown[skin]) / (near.sum(1) + FEW * skin.sum())[:, None]
-        lacks = HUE * np.tanh(lacks / HUE)
+        table = lacks
+        if table is None:
+            near = np.exp(-(((base[skin] - steps[:, None]) / width) ** 2) / 2)
+            table = near @ (mean - shown[skin]) / (near.sum(1) + FEW * skin.sum())[:, None]
+            table = HUE * np.tanh(table / HUE)
         own = colour_of(blurred(picture, on.bare, EXACT * on.face_px))
-        off = own - (mean - _at(base, lacks))
+        off = own - (mean - _at(base, table))
         alike = on.bare * np.exp(-(off**2).sum(2) / (2 * ALIKE**2))
         return SkinColour(
-            lacks=float32(lacks), alike=cv2.GaussianBlur(float32(alike), (0, 0), EXACT * on.face_px)
+            lacks=float32(table), alike=cv2.GaussianBlur(float32(alike), (0, 0), EXACT * on.face_px)
         )
 
     def change(
@@ -239,10 +244,12 @@ def unseen(
     exact: Float[ndarray, "p q"],
     plain: Float[ndarray, "p q"],
     on: Surface,
+    slope: float | None = None,
 ) -> Unseen:
     """Of a linear picture, the old light, the same with its edges, and where albedo is ``plain``.
 
-    The picture's slope over the light's is bounded to 0..1 for all of the skin, then a guided
+    The picture's ``slope`` over the light's, found where it is not given, is bounded to 0..1 for
+    all of the skin, then a guided
     filter (He et al. 2013), whose lines ``a I + b`` from the picture to the light have slopes of
     0..1 too, places its edges.
     """
@@ -255,7 +262,8 @@ def unseen(
         return blurred(x[..., None], plain, sigma * on.face_px)[..., 0]
 
     middle = float(exact[skin].mean())
-    slope = _slope(exact[skin], local(small, EXACT)[skin])
+    if slope is None:
+        slope = _slope(exact[skin], local(small, EXACT)[skin])
     known = middle + slope * (exact - middle)
     mine, its = local(small), local(known)
     a = (local(small * known) - mine * its) / (local(small**2) - mine**2 + TEXTURE**2)

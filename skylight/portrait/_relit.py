@@ -24,6 +24,7 @@ picture is undone before and done after.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -68,7 +69,15 @@ from skylight.portrait._room import (
     veil_of,
     white_of,
 )
-from skylight.portrait._surface import BUST, FACE_PX, HAIR, SKIN, PersonSurface
+from skylight.portrait._surface import (
+    BUST,
+    FACE_PX,
+    HAIR,
+    SKIN,
+    LitPerson,
+    PersonSurface,
+    region_image,
+)
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.work._progress import Progress
 
@@ -86,6 +95,42 @@ LITTLE = 0.3  # of the light's variation
 _BLACKEST = 0.01  # albedo
 _DOUBTED = 0.7  # of the gain, for each doubt
 SHARED_ROWS = 16  # cells of 11 degrees: how far a lamp moves until it is another one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gains:
+    """What a picture is multiplied by, ``times`` (h,w,3), and how much of an ``edge`` (h,w) it
+    gets, None where there is none. ``factor`` is of the light, so that skin keeps its brightness.
+    """
+
+    times: Float[ndarray, "h w 3"]
+    edge: Float[ndarray, "h w"] | None
+    factor: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """What is the same in all frames of a film: of one picture each is found with some error,
+    which would flicker. Names are those of :class:`Portrait`, :class:`Unseen` and
+    :class:`SkinColour`."""
+
+    specular_scale: float
+    albedo: float
+    slope: float
+    lacks: Float[ndarray, "n 3"]
+    doubts: tuple[str, ...]
+
+    @staticmethod
+    def of(portraits: Sequence["Portrait"]) -> "Held":
+        """Medians of some frames."""
+        by_doubts = sorted(portraits, key=lambda one: one.strength)
+        return Held(
+            specular_scale=float(np.median([one.specular_scale for one in portraits])),
+            albedo=float(np.median([one.albedo for one in portraits])),
+            slope=float(np.median([one.unseen.slope for one in portraits])),
+            lacks=np.median([one.colour.lacks for one in portraits], axis=0),
+            doubts=by_doubts[len(by_doubts) // 2].doubts,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +152,7 @@ class Portrait:
     photo: Float[ndarray, "h w 3"]
     edit: Edit
     scene: Float[ndarray, "h w 3"]
-    person: PersonSurface
+    person: LitPerson
     found: EnvironmentMap
     specular_scale: float
     grey: bool
@@ -132,7 +177,7 @@ class Portrait:
     @staticmethod
     def of(
         photo: Float[Tensor, "h w 3"],
-        person: PersonSurface,
+        person: LitPerson,
         found: EnvironmentMap,
         specular_scale: float,
         hair: Float[ndarray, "p q"],
@@ -141,18 +186,21 @@ class Portrait:
         grey: bool = False,
         edit: Edit = UNEDITED,
         white: float = 1.0,
+        held: "Held | None" = None,
     ) -> "Portrait":
         """From a linear photograph, ``edit`` done to it, and the light ``found`` in its units.
 
         ``specular_scale`` is the strength of the skin's specular lobe; ``hair``
         is how likely a pixel of ``person`` shows hair; ``white`` what the photograph's codes end
-        at.
+        at. What is ``held``, over a film, is not found again; its specular scale counts.
         """
         picture = float32(edit.undo(photo).numpy())
         white = float(edit.undo(torch.full((3,), white))[0])
+        if held is not None:
+            specular_scale = held.specular_scale
         shading, specular = _images(person, found, specular_scale, grey=grey)
         small = cv2.resize(picture, shading.shape[1::-1], interpolation=cv2.INTER_AREA)
-        regions = person.region_image()
+        regions = region_image(person)
         on_skin = np.isin(regions, SKIN) & (hair < 0.5)
         if not on_skin.any():
             raise InputError("the face is turned away or covered: no skin of it can be relit")
@@ -164,18 +212,20 @@ class Portrait:
             face_px=person.face_px,
         )
         mean, shine, shown = (on.mean(each) for each in (shading, specular, small))
-        most = min(1.0, float((MOST_SPECULAR * shown / np.maximum(shine, 1e-12)).min()))
+        most = 1.0
+        if held is None:
+            most = min(1.0, float((MOST_SPECULAR * shown / np.maximum(shine, 1e-12)).min()))
         specular = most * specular
         albedo = float(
             (shown - most * shine) @ LUMINANCE_WEIGHTS / max(mean @ LUMINANCE_WEIGHTS, 1e-12)
         )
-        albedo = max(albedo, _BLACKEST)
+        albedo = max(albedo, _BLACKEST) if held is None else held.albedo
         before, exact = (level_of(shading, specular / albedo, on, x) for x in (SHARP, EXACT))
         plain = on_skin & (regions == Region.FACE)
         plain = float32(plain) if plain.any() else on.face
-        hidden = unseen(picture, before, exact, plain, on)
+        hidden = unseen(picture, before, exact, plain, on, None if held is None else held.slope)
         head = float32((regions >= 0) & (regions != BUST))
-        doubts = _doubts(small[on_skin], found, hidden)
+        doubts = _doubts(small[on_skin], found, hidden) if held is None else held.doubts
         face_px = person.face_px * len(picture) / len(regions)  # in the picture's pixels
         cut = soft_matte(picture, float32(matte), head, person.face_px)
         base = base_of(picture, white, face_px)
@@ -206,7 +256,9 @@ class Portrait:
             mean=mean,
             before=before,
             unseen=hidden,
-            colour=SkinColour.of(small, small_base, plain, on),
+            colour=SkinColour.of(
+                small, small_base, plain, on, None if held is None else held.lacks
+            ),
             strength=_DOUBTED ** len(doubts),
             doubts=doubts,
         )
@@ -227,14 +279,30 @@ class Portrait:
         light that does not reach the skin, which is shown as it is. ``edge`` is a lamp behind the
         person, which lights the outline.
         """
+        gains = self.gains(light, keep=keep, edge=edge)
+        return exposure * self.changed(gains), exposure * gains.factor
+
+    def gains(
+        self,
+        light: EnvironmentMap,
+        *,
+        keep: Keep = "nothing",
+        edge: EdgeLight | None = None,
+        factor: float | None = None,
+    ) -> Gains:
+        """What :meth:`under` does to the picture.
+
+        ``factor`` is what keeps the skin's brightness, where that is known.
+        """
         size = (self.scene.shape[0], self.scene.shape[1])
         shading, specular = self.shaded_by(light)
         received = self.on.mean(shading)
         gain = level_of(shading, specular / self.albedo, self.on) - self.before
         cast = colour_of(received) - colour_of(self.mean)
-        factor = 1.0
-        if keep == "brightness" and received.any():
-            factor = float(self.mean @ LUMINANCE_WEIGHTS / (received @ LUMINANCE_WEIGHTS))
+        if factor is None:
+            factor = 1.0
+            if keep == "brightness" and received.any():
+                factor = float(self.mean @ LUMINANCE_WEIGHTS / (received @ LUMINANCE_WEIGHTS))
         if keep == "place" and received.all():
             cast = np.zeros_like(cast)
         other = 1 - shared_light(self.found, light)
@@ -250,16 +318,26 @@ class Portrait:
         if keep != "place":
             behind = np.maximum(factor * self._behind(light), 1e-9)
         within = self.matte[..., None]
-        picture = self.scene * (within * np.exp(tint + level[..., None]) + (1 - within) * behind)
+        edged = None
         if edge is not None:
-            sent = within**2 * edge.on(resized(self.leaning, size))[..., None]
+            edged = within[..., 0] ** 2 * edge.on(resized(self.leaning, size))
+        return Gains(
+            times=within * np.exp(tint + level[..., None]) + (1 - within) * behind,
+            edge=edged,
+            factor=factor,
+        )
+
+    def changed(self, gains: Gains) -> Float[ndarray, "h w 3"]:
+        """The photograph with those gains, linear."""
+        picture = self.scene * gains.times
+        if gains.edge is not None:
             room = (1 - np.exp(self.base))[..., None]  # so that white stays as it is
             shown = np.maximum(self.scene @ LUMINANCE_WEIGHTS, 0)[..., None]
             sheen = SHEEN * np.sqrt(self.bright * shown)
-            picture = picture + room * sent * (self.scene + sheen)
+            picture = picture + room * gains.edge[..., None] * (self.scene + sheen)
         # what an edit made black is not known again: where nothing changed, nothing changes
         picture = self._edited(picture) + (self.photo - self._edited(self.scene))
-        return exposure * np.maximum(picture, 0), exposure * factor
+        return np.maximum(picture, 0)
 
     def _edited(self, picture: Float[ndarray, "h w 3"]) -> Float[ndarray, "h w 3"]:
         return self.edit.apply(torch.from_numpy(picture)).numpy()
@@ -319,7 +397,7 @@ def upright_irradiance(light: EnvironmentMap) -> Float[Tensor, "3"]:
 
 
 def _images(
-    person: PersonSurface,
+    person: LitPerson,
     light: EnvironmentMap,
     specular_scale: float,
     *,
@@ -328,7 +406,7 @@ def _images(
     """(S, g) of the module's text as pictures, 0 where there is no skin."""
     shading = person.shade(light, SKIN_SPECULAR)
     diffuse, specular = (
-        float32(person.image(each).numpy())
+        float32(person.surface.image(each).numpy())
         for each in (shading.diffuse, specular_scale * shading.specular)
     )
     if grey:
@@ -363,17 +441,7 @@ def portrait_of(
         workers=workers,
         progress=progress,
     )
-    regions = person.region_image()
-    hairy = cv2.resize(hair, regions.shape[::-1], interpolation=cv2.INTER_AREA)
-    matte = person_matte(
-        photo.encoded,
-        (regions >= 0) & (regions < HAIR),
-        regions == BUST,
-        hairy,
-        person.face_px,
-    )
-    head = cv2.resize(float32(regions >= 0), matte.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    matte = matte * (1 - drawn_parts(photo.encoded, np.maximum(matte, head)))
+    hairy, matte = cut_out(photo, person, hair)
     return Portrait.of(
         photo.pixels,
         person,
@@ -385,6 +453,30 @@ def portrait_of(
         edit=reflection.edit,
         white=white_of(photo),
     )
+
+
+def cut_out(
+    photo: Photo,
+    person: LitPerson,
+    hair: Float[ndarray, "h w"],
+    before: Float[ndarray, "h w"] | None = None,
+) -> tuple[Float[ndarray, "p q"], Float[ndarray, "h w"]]:
+    """(how likely a pixel of ``person`` shows hair, the person's matte in the photograph).
+
+    ``before`` is of :func:`~skylight.faces._segmentation.person_matte`.
+    """
+    regions = region_image(person)
+    hairy = cv2.resize(hair, regions.shape[::-1], interpolation=cv2.INTER_AREA)
+    matte = person_matte(
+        photo.encoded,
+        (regions >= 0) & (regions < HAIR),
+        regions == BUST,
+        hairy,
+        person.face_px,
+        before,
+    )
+    head = cv2.resize(float32(regions >= 0), matte.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return hairy, matte * (1 - drawn_parts(photo.encoded, np.maximum(matte, head)))
 
 
 def light_in_photo(estimate: FoundLight, light: EnvironmentMap | None = None) -> EnvironmentMap:

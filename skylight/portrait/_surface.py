@@ -10,6 +10,7 @@ and is shaded as the round thing that it is. Thickness, locks and strands are no
 
 import math
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -84,6 +85,41 @@ def _faces_camera(
     return (((normals * towards).sum(1) > 0) & ~hidden).numpy()
 
 
+@dataclass(frozen=True, kw_only=True)
+class PersonMesh:
+    """Head, bust and, where there is one, the shell of hair, in the camera's frame.
+
+    The head's vertices come first; ``regions`` (n,) are values of
+    :class:`~skylight.faces._model.Region`, :data:`HAIR` or :data:`BUST`.
+    """
+
+    vertices: Float[Tensor, "n 3"]
+    faces: Int[Tensor, "f 3"]
+    regions: UInt8[Tensor, " n"]
+
+    @staticmethod
+    def of(fit: FaceFit, hair: Float[np.ndarray, "h w"] | None) -> "PersonMesh":
+        """Of a fitted head; ``hair`` as for :meth:`PersonSurface.of`."""
+        model = HeadModel.load()
+        parts = [(fit.vertices, model.faces), bust(fit)]
+        if hair is not None:
+            parts.append(hair_shell(fit, hair))
+        starts = np.cumsum([0, *(len(points) for points, _ in parts)])
+        faces = [part + start for (_, part), start in zip(parts, starts[:-1], strict=True)]
+        regions = np.repeat([0, BUST, HAIR][: len(parts)], np.diff(starts)).astype(np.uint8)
+        regions[: len(model.regions)] = model.regions
+        return PersonMesh(
+            vertices=torch.from_numpy(np.concatenate([points for points, _ in parts])),
+            faces=torch.from_numpy(np.concatenate(faces)),
+            regions=torch.from_numpy(regions),
+        )
+
+    def regions_at(self, surface: GBuffer) -> UInt8[Tensor, " m"]:
+        """Those of the nearest vertices."""
+        nearest = surface.barycentric.argmax(1, keepdim=True)
+        return self.regions[self.faces[surface.faces].gather(1, nearest)[:, 0]]
+
+
 FACE_PX = 96  # height of the face's skin where shading is computed; photographs are not enlarged
 HAIR, BUST = 254, 255  # among the regions
 SKIN = (Region.FACE, Region.LIPS, Region.EAR, Region.NECK, Region.BROW)
@@ -93,10 +129,31 @@ _BLOCK_POINTS = 64  # whose lobes stay in a core's cache
 
 @dataclass(frozen=True, kw_only=True)
 class Shading:
-    """What points of albedo 1 send to the camera: ``diffuse`` and ``specular`` (k,3)."""
+    """``diffuse`` and ``specular`` (m,3): what points of albedo 1 send to the camera; 0 but of skin."""
 
-    diffuse: Float[Tensor, "k 3"]
-    specular: Float[Tensor, "k 3"]
+    diffuse: Float[Tensor, "m 3"]
+    specular: Float[Tensor, "m 3"]
+
+
+@runtime_checkable
+class LitPerson(Protocol):
+    """The surface of a person at a picture's pixels, and what any light makes of it."""
+
+    @property
+    def surface(self) -> GBuffer: ...
+    @property
+    def face_px(self) -> float: ...
+    @property
+    def regions(self) -> UInt8[Tensor, " m"]: ...
+    def shade(self, light: EnvironmentMap, specular: Specular) -> Shading:
+        """Direct light with shadows, of albedo 1."""
+        ...
+
+
+def region_image(person: LitPerson) -> Int[np.ndarray, "h w"]:
+    """The regions as a picture, -1 where there is no surface."""
+    shown = person.surface.image(person.regions[:, None].float() + 1)
+    return shown[..., 0].long().numpy() - 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,27 +192,13 @@ class PersonSurface:
 
         Visibility is that of 32 rows of directions; k * 2048 bytes, 12 MB of 6,000 pixels.
         """
-        model = HeadModel.load()
-        height = float(np.ptp(skin_seen(model, fit)[:, 1]))
+        height = float(np.ptp(skin_seen(HeadModel.load(), fit)[:, 1]))
         scale = min(1.0, face_px / height)
         camera = scaled(fit.camera, scale)
-        parts = [(fit.vertices, model.faces), bust(fit)]
-        if hair is not None:
-            parts.append(hair_shell(fit, hair))
-        starts = np.cumsum([0, *(len(points) for points, _ in parts)])
-        vertices = torch.from_numpy(np.concatenate([points for points, _ in parts]))
-        faces = torch.from_numpy(
-            np.concatenate(
-                [part + start for (_, part), start in zip(parts, starts[:-1], strict=True)]
-            )
-        )
-        raycaster = Raycaster(vertices, faces)
-        surface = rasterize(camera, vertices, faces, raycaster)
-        of_vertices = np.repeat([0, BUST, HAIR][: len(parts)], np.diff(starts)).astype(np.uint8)
-        of_vertices[: len(model.regions)] = model.regions
-        nearest = surface.barycentric.argmax(1, keepdim=True)
-        corners = faces[surface.faces].gather(1, nearest)[:, 0]
-        regions = torch.from_numpy(of_vertices)[corners]
+        model, mesh = HeadModel.load(), PersonMesh.of(fit, hair)
+        raycaster = Raycaster(mesh.vertices, mesh.faces)
+        surface = rasterize(camera, mesh.vertices, mesh.faces, raycaster)
+        regions = mesh.regions_at(surface)
         skin = torch.isin(regions, torch.tensor(SKIN)).nonzero()[:, 0]
         normals = surface.normals[skin]
         if head_error is not None:
@@ -180,16 +223,6 @@ class PersonSurface:
             sight=sight,
         )
 
-    def image(self, values: Float[Tensor, "k c"]) -> Float[Tensor, "h w c"]:
-        """Values of the skin as a picture, 0 elsewhere."""
-        whole = values.new_zeros(len(self.surface.faces), values.shape[1])
-        return self.surface.image(whole.index_copy(0, self.skin, values))
-
-    def region_image(self) -> Int[np.ndarray, "h w"]:
-        """The regions as a picture, -1 where there is no surface."""
-        shown = self.surface.image(self.regions[:, None].float() + 1)
-        return shown[..., 0].long().numpy() - 1
-
     def shade(self, light: EnvironmentMap, specular: Specular) -> Shading:
         """Of the skin, with shadows: ``sum_w V <n, w>+ L dw / pi``, and so with f_s for 1 / pi.
 
@@ -198,27 +231,35 @@ class PersonSurface:
         radiance = softened(light).flat.float()
         normals = self.normals.float()
         views = -normalize(self.surface.positions[self.skin], dim=1).float()
-        diffuse, reflected = torch.zeros(2, len(normals), 3)
+        diffuse, reflected = torch.zeros(2, len(self.regions), 3)
         towards = self.sight.grid.directions.float()
         for points in torch.arange(len(normals)).split(_BLOCK_POINTS):
             transport = self.sight[points]  # V <n, w>+ dw / pi
             lobe = specular_lobe(normals[points], views[points], towards, specular)
-            diffuse[points] = transport @ radiance
-            reflected[points] = (math.pi * transport * lobe) @ radiance
+            diffuse[self.skin[points]] = transport @ radiance
+            reflected[self.skin[points]] = (math.pi * transport * lobe) @ radiance
         return Shading(diffuse=diffuse, specular=reflected)
 
 
-def softened(light: EnvironmentMap) -> EnvironmentMap:
+def softened(light: EnvironmentMap, turn: Float[Tensor, "3 3"] | None = None) -> EnvironmentMap:
     """A map on 32 rows: bright pixels spread over the four cells about them, the rest averaged.
 
     So a shadow moves evenly with its light, as it does not where a lamp is in one cell or the next.
+    With a ``turn`` R it is the map in another frame, ``L(R d)`` in direction d, of which the same
+    is true as R changes: bright pixels keep all of their light, the rest is interpolated.
     """
     smooth, directions, flux = split_bright(light, FINE_ROWS)
-    if smooth.layout[0] != SMOOTH_HEIGHT:
+    layout, grid = smooth.layout, smooth.grid
+    if layout[0] != SMOOTH_HEIGHT:
         raise ValueError(f"a map needs {SMOOTH_HEIGHT} rows or more, got {light.layout[0]}")
-    index, share = bilinear_taps(*smooth.layout, *pixel_from_direction(directions, *smooth.layout))
     radiance = smooth.flat.double()
-    sent = share[..., None] * flux[:, None] / smooth.grid.solid_angles[index][..., None]
+    if turn is not None:
+        seen = pixel_from_direction(grid.directions @ turn.T, *layout)
+        index, share = bilinear_taps(*layout, *seen)
+        radiance = (share[..., None].double() * radiance[index]).sum(1)
+        directions = directions @ turn
+    index, share = bilinear_taps(*layout, *pixel_from_direction(directions, *layout))
+    sent = share[..., None] * flux[:, None] / grid.solid_angles[index][..., None]
     radiance = radiance.index_add(0, index.reshape(-1), sent.reshape(-1, 3))
     return EnvironmentMap(radiance=radiance.reshape(smooth.radiance.shape).to(smooth.radiance))
 

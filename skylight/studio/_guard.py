@@ -7,9 +7,7 @@ something must come from its own page (the Origin that browsers send) or from no
 
 import asyncio
 import errno
-import ipaddress
 import math
-import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
 from urllib.parse import urlsplit
@@ -21,6 +19,7 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from skylight.errors import InputError
+from skylight.work._own_host import is_own
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -99,7 +98,6 @@ class Limits:
         return int(self.kept_mb * MEGABYTE)
 
 
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
 JSON_BYTES = 65_536  # of a request for a job
 GRACE_S = 10.0  # before the rate of a body counts
 LEAST_BYTES_PER_S = 10_000  # on average, after that
@@ -180,32 +178,8 @@ def _place(origin: str) -> str:
         return ""
 
 
-def is_own(host: str, bound: str) -> bool:
-    """Whether a Host header names this server, which was bound to the host ``bound``.
-
-    By any address where it listens on all of them: what rebinding needs is a name.
-    """
-    try:
-        name = urlsplit(f"//{host}").hostname or ""
-    except ValueError:
-        return False
-    if name in (*LOOPBACK, bound.lower()):
-        return True
-    if bound not in ("0.0.0.0", "::"):
-        return False
-    return name == socket.gethostname().lower() or _is_address(name)
-
-
 def _is_json(headers: Headers) -> bool:
     return headers.get("content-type", "").partition(";")[0].strip().lower() == "application/json"
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
 
 
 def _bounded(receive: Receive, most: int, most_s: float) -> Receive:

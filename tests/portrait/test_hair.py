@@ -9,7 +9,13 @@ import torch
 from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel, Region
 from skylight.faces._observe import SKIN_SPECULAR
-from skylight.portrait._surface import HAIR, THICKNESS_M, PersonSurface, hair_shell
+from skylight.portrait._surface import (
+    HAIR,
+    THICKNESS_M,
+    PersonSurface,
+    hair_shell,
+    region_image,
+)
 from skylight.sphere._envmap import EnvironmentMap
 from tests.sunny_face import direction, sunny_face
 
@@ -101,9 +107,10 @@ def test_it_shades_the_forehead_below_a_fringe(fit: FaceFit) -> None:
         for hair in (None, drawn(slice(0, round(fringe))))
     )
     images = [
-        one.image(one.shade(light, SKIN_SPECULAR).diffuse).numpy()[..., 0] for one in (bald, hairy)
+        one.surface.image(one.shade(light, SKIN_SPECULAR).diffuse).numpy()[..., 0]
+        for one in (bald, hairy)
     ]
-    regions = hairy.region_image()
+    regions = region_image(hairy)
     assert (regions == HAIR).any()
     scale = hairy.camera.height / SIZE[0]
     rows = np.arange(len(regions))[:, None]

@@ -14,7 +14,6 @@ import pytest
 from skylight import __version__
 from skylight.errors import InputError
 from skylight.studio import _server as static_files
-from skylight.studio._guard import is_own
 from skylight.studio._requests import LIGHTS, PLACES
 from skylight.studio._server import serve
 from tests.studio.conftest import (
@@ -79,24 +78,6 @@ def test_every_answer_tells_browsers_to_be_careful(client: httpx.Client, path: s
     assert headers["referrer-policy"] == "no-referrer"
     assert headers["cross-origin-resource-policy"] == "same-origin"
     assert "server" not in headers
-
-
-@pytest.mark.parametrize(
-    ("host", "bound", "own"),
-    [
-        ("127.0.0.1:8600", "127.0.0.1", True),
-        ("LOCALHOST", "127.0.0.1", True),
-        ("[::1]:8600", "127.0.0.1", True),
-        ("192.168.0.7:8600", "127.0.0.1", False),
-        ("192.168.0.7:8600", "192.168.0.7", True),
-        ("192.168.0.7:8600", "0.0.0.0", True),
-        ("studio.lan:80", "Studio.lan", True),
-        ("studio.lan:80", "0.0.0.0", False),
-        ("127.0.0.1@evil.example", "127.0.0.1", False),
-    ],
-)
-def test_own_names(host: str, bound: str, own: bool) -> None:
-    assert is_own(host, bound) is own
 
 
 @pytest.mark.parametrize("wanted", ["bytes=0-5", "bytes={}-5", "bytes=9999999999-", "lines=1"])

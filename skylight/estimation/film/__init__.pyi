@@ -3,6 +3,10 @@ from ._estimate import (
     FilmSettings as FilmSettings,
     estimate_film as estimate_film,
 )
+from ._kept import (
+    KeptFilm as KeptFilm,
+    read_film as read_film,
+)
 from ._light import (
     FilmLight as FilmLight,
 )

@@ -1,7 +1,6 @@
 """One person followed through a film: landmarks, keyframes, and what the background does.
 
-As MediaPipe does from frame to frame, the landmark network looks where the face was in the frame
-before; the detector looks only where it is lost. Of the frames with the face, every n-th since the
+Of the frames with the face, every n-th since the
 last cut is a keyframe, n doubling whenever there are too many: so keyframes are spread evenly,
 however long the film is, and no more than they are held in memory.
 """
@@ -19,6 +18,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from skylight.errors import InputError
+from skylight.estimation.film._one_face import LEAST_PRESENCE, OneFace
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._mediapipe import MediaPipeLandmarker, Reading, square_of_landmarks, to_ibug
 from skylight.imaging._camera_turns import BackgroundCorners, Link
@@ -30,9 +30,6 @@ from skylight.work._progress import Progress
 FOLLOWED = "followed.safetensors"  # what was found, kept between runs
 _FACTS = "facts"
 LONGEST_S = 600.0
-LEAST_PRESENCE = 0.5
-_WEAKEST_SHARE = 0.9  # of the likeliest face's presence
-_LOOK_EVERY = 5  # frames, while there is no face: the detector takes five times as long
 _GAP_S = 0.5  # shorter ones are not told
 # A cut: the small picture is unlike the one before, and few corners are found again.
 _ALIKE, _LEAST_KEPT = 0.6, 0.25
@@ -132,23 +129,22 @@ class _Following:
     def __init__(
         self, first: Source, name: str, landmarker: MediaPipeLandmarker, face: int, most: int
     ) -> None:
-        self.name, self.landmarker, self.face, self.most = name, landmarker, face, most
+        self.name, self.landmarker, self.most = name, landmarker, most
+        self.one = OneFace(landmarker, name, face)
         height, width = first.frame.codes.shape[:2]
         self.size = width, height
         self.corners = BackgroundCorners(width, height)
         self.best: Shot | None = None
         self.cuts: list[float] = []
-        self.notes: list[str] = []
-        self.frames = 0
         self._begin(first)
 
     def _begin(self, source: Source) -> None:
         """A new shot with that frame."""
         frame = source.frame
         self.shot = Shot(first=frame.number, begin_s=frame.time_s, end_s=frame.time_s)
-        self.points: Float[ndarray, "478 2"] | None = None
+        self.one.begin()
         self.lost_s: float | None = None
-        self.without = self.stride_count = 0
+        self.stride_count = 0
         self.stride = 1
         self.anchor = frame.number
         self.thumbnail = _thumbnail(frame.codes)
@@ -174,7 +170,7 @@ class _Following:
         since_s = frame.time_s - self.shot.end_s
         self.shot.end_s = frame.time_s
         self._look(source)
-        if self.points is not None and self.lost_s is None:
+        if self.one.points is not None and self.lost_s is None:
             self.shot.seen_s += since_s
         if self.corners.is_worn:
             if not self.shot.links or self.shot.links[-1].end != frame.number:
@@ -187,10 +183,10 @@ class _Following:
         best = self.best
         if best is None or not best.keyframes:
             raise InputError(
-                f"{self.name}: no face found in {self.frames} frames; use a film of a face seen "
-                "from the front, at least 60 pixels high"
+                f"{self.name}: no face found in {self.one.frames} frames; use a film of a face "
+                "seen from the front, at least 60 pixels high"
             )
-        notes = list(self.notes)
+        notes = list(self.one.notes)
         if self.cuts:
             at = ", ".join(f"{time_s:.1f}" for time_s in self.cuts[:5])
             more = f" and {len(self.cuts) - 5} more" if len(self.cuts) > 5 else ""
@@ -202,7 +198,7 @@ class _Following:
         return Followed(
             shot=best,
             size=self.size,
-            frames=self.frames,
+            frames=self.one.frames,
             end_s=self.shot.end_s,
             notes=tuple(notes),
         )
@@ -215,60 +211,17 @@ class _Following:
 
     def _look(self, source: Source) -> None:
         """Where the face is in this frame; one in ``stride`` becomes a keyframe."""
-        frame, self.frames = source.frame, self.frames + 1
-        points = None if self.lost_s is not None else self._followed(frame)
-        if points is None and self.without % _LOOK_EVERY == 0:
-            points = self._detected(frame)
+        frame = source.frame
+        points = self.one.look(frame)
         if points is None:
-            self.without += 1
             if self.lost_s is None:
                 self.lost_s = frame.time_s
             return
         if self.lost_s is not None:
             self._found_again(frame.time_s)
-        self.without, self.points = 0, points
         if self.stride_count % self.stride == 0:
             self._keep(source, points)
         self.stride_count += 1
-
-    def _followed(self, frame: FilmFrame) -> Float[ndarray, "478 2"] | None:
-        if self.points is None:
-            return None
-        points, presence = self.landmarker.glance(frame.codes, square_of_landmarks(self.points))
-        return points if presence >= LEAST_PRESENCE else None
-
-    def _detected(self, frame: FilmFrame) -> Float[ndarray, "478 2"] | None:
-        found = self._seen(frame)
-        if not found and self.frames == 1:  # once, with all the effort that a photograph gets
-            found = [face.points for face in self.landmarker.faces(frame.codes)]
-        if not found:
-            return None
-        if self.points is not None:  # whoever is nearest to where the person was
-            there = self.points.mean(0)
-            return min(found, key=lambda points: float(np.linalg.norm(points.mean(0) - there)))
-        if self.face > len(found):
-            raise InputError(
-                f"{self.name}: there is no face {self.face}, only {len(found)} found at "
-                f"{frame.time_s:.1f} s; choose --face 1 to {len(found)}"
-            )
-        if len(found) > 1:
-            which = "the largest" if self.face == 1 else f"number {self.face} by size"
-            self.notes.append(
-                f"{len(found)} faces at {frame.time_s:.1f} s: {which} is followed; choose by --face"
-            )
-        return found[self.face - 1]
-
-    def _seen(self, frame: FilmFrame) -> list[Float[ndarray, "478 2"]]:
-        """The faces that the detector sees at a glance, the largest first."""
-        seen = []
-        for square in self.landmarker.find(frame.codes):
-            points, _ = self.landmarker.glance(frame.codes, square)
-            seen.append(self.landmarker.read(frame.codes, square_of_landmarks(points)))
-        # leaves and cloth reach two thirds of a real face's probability
-        least = max([LEAST_PRESENCE, *(_WEAKEST_SHARE * one.presence for one in seen)])
-        found = [one.points for one in seen if one.presence >= least]
-        found.sort(key=lambda points: -float(np.linalg.norm(np.ptp(points, axis=0))))
-        return [p for i, p in enumerate(found) if not any(_within(p, q) for q in found[:i])]
 
     def _found_again(self, time_s: float) -> None:
         assert self.lost_s is not None
@@ -301,21 +254,15 @@ class _Following:
         """Everything but the head where it was last, and what is below and beside it."""
         width, height = self.size
         mask = np.ones((height, width), bool)
-        if self.points is None:
+        if self.one.points is None:
             return mask
-        (left, top), (right, bottom) = self.points.min(0), self.points.max(0)
+        (left, top), (right, bottom) = self.one.points.min(0), self.one.points.max(0)
         wide, high = right - left, bottom - top
         middle = (left + right) / 2
         _cover(mask, left - _BESIDE * wide, right + _BESIDE * wide, top - _ABOVE * high, bottom)
         shoulders = _SHOULDERS * wide
         _cover(mask, middle - shoulders, middle + shoulders, bottom, float(height))
         return mask
-
-
-def _within(points: Float[ndarray, "478 2"], larger: Float[ndarray, "478 2"]) -> bool:
-    """Whether it is a larger face once more."""
-    centre = points.mean(0)
-    return bool(((centre > larger.min(0)) & (centre < larger.max(0))).all())
 
 
 def _cover(

@@ -23,7 +23,14 @@ from numpy import ndarray
 from scipy.sparse import csr_matrix
 from torch import Tensor
 
-from skylight.estimation.film._smoother import DRIFTS, Drifting, Sight, likeliest, smooth
+from skylight.estimation.film._smoother import (
+    DRIFTS,
+    Drifting,
+    Sight,
+    covariance_of,
+    likeliest,
+    smooth,
+)
 from skylight.imaging._edits import Edit
 from skylight.inverse._descent import Stage, best_exposure, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces, ScannedFace
@@ -322,7 +329,7 @@ class _Film:
             precision[azimuth, azimuth] += 1 / _ANY_AZIMUTH
         # what priors do not bend at all is left to a wide normal one
         precision[np.diag_indices_from(precision)] += 1e-3
-        covariance = np.linalg.inv(precision)
+        covariance = covariance_of(precision)
         mean = at - covariance @ slope[0, self.shared].double().numpy()
         return Drifting(mean=mean, covariance=covariance, times_s=self.times_s, scale=scale)
 

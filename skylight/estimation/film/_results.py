@@ -17,7 +17,7 @@ from skylight._figures import (
     show_probe,
     white_of,
 )
-from skylight.estimation._report import write_mesh
+from skylight.estimation._report import SOME_FILES, write_mesh
 from skylight.estimation._summary import (
     at,
     describe_lights,
@@ -28,12 +28,20 @@ from skylight.estimation._summary import (
     probe_title,
     told_verdict,
 )
-from skylight.estimation.film._estimate import FilmEstimate
+from skylight.estimation.film._estimate import (
+    FOLLOWING,
+    FilmEstimate,
+    FilmSettings,
+    estimate_film,
+)
+from skylight.estimation.film._kept import KEPT_FILM, KeptFilm, read_film, write_film
 from skylight.estimation.film._light import FrameLight
 from skylight.imaging._photo import read_photo
 from skylight.imaging._preview import write_probe
 from skylight.io._bounded import write_json
 from skylight.io._files import write_environment_map
+from skylight.work._progress import StageProgress
+from skylight.work._resumable import SETTINGS, keep_settings, locked, results_folder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,6 +69,38 @@ def write_film_results(folder: Path, result: FilmEstimate, *, source: str) -> No
     write_probe(folder, light.mean.environment)
     for name, environment in maps.items():
         write_environment_map(folder / name, environment)
+
+
+def estimate_film_into(
+    out: Path, film: Path, settings: FilmSettings, progress: StageProgress
+) -> FilmEstimate:
+    """The light of a film (or of a folder of its frames), and its files in ``out``.
+
+    Raises
+    ------
+    InputError
+        As :func:`estimate_film`; ``out`` was made with other settings or of another film, or
+        another run is at work there.
+    """
+    with locked(out, out / FOLLOWING):
+        keep_settings(out / SETTINGS, settings.facts(film))
+        result = estimate_film(film, out, settings, progress)
+        with results_folder(out, SOME_FILES) as folder:
+            write_film_results(folder, result, source=str(film))
+            if film.is_file():
+                face, decode = settings.estimate.face, settings.estimate.decode
+                assert isinstance(face, int)
+                write_film(folder, KeptFilm.of(result, film, decode, face))
+    return result
+
+
+def relightable(out: Path, film: Path, settings: FilmSettings, progress: StageProgress) -> KeptFilm:
+    """What portraits are relit by, of an earlier estimate in ``out`` or of one made now."""
+    if (out / KEPT_FILM).is_file() and (out / SETTINGS).is_file():
+        keep_settings(out / SETTINGS, settings.facts(film))
+    else:
+        estimate_film_into(out, film, settings, progress)
+    return read_film(out)
 
 
 def describe_film(result: FilmEstimate, *, source: str) -> dict[str, object]:

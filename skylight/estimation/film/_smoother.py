@@ -64,6 +64,16 @@ class Drifting:
     scale: Float[ndarray, " n"]
 
 
+def covariance_of(precision: Float[ndarray, "n n"]) -> Float[ndarray, "n n"]:
+    """The inverse of what is symmetric but for the rounding of float32, made symmetric.
+
+    Inverted as it is, a difference of 1e-6 grows by the square of what is hardly known, 1e3, and
+    covariances of sights are no longer positive.
+    """
+    inverse = np.linalg.inv(0.5 * (precision + precision.T))
+    return 0.5 * (inverse + inverse.T)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Smoothed:
     """Means and covariances of the unknowns at each sight, given all sights."""

@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import ExifTags
 
-from skylight.errors import InputError, OutputError
+from skylight.errors import InputError
 from skylight.imaging._film import as_rgb, film_frames, film_rate, opened_film, require_film
+from skylight.imaging._film_writer import written_film
 from skylight.imaging._photo import read_codes
 from skylight.imaging._pictures import stored_picture
-from skylight.io._atomic import atomic_path, require_place
+from skylight.io._atomic import require_place
 
 FRAMES_MOST = 40
 WEBCAM_SECONDS = 20.0  # for which one is watched
@@ -252,8 +253,7 @@ def write_film(
     times: dict[str, list[Times]] = {}
     whole: list[Times] = []
     tracked = known = 0
-    with atomic_path(out) as temporary:
-        made = _writer(temporary, rate, *size)
+    with written_film(out, rate, size) as write:
         started, written = perf_counter(), 0
         clock = Clock()
         try:
@@ -264,7 +264,7 @@ def write_film(
                 # a webcam's frames last as long as they took
                 late = round((perf_counter() - started) * rate) - written
                 for _ in range(max(1, late) if isinstance(source, int) else 1):
-                    made.write(cv2.cvtColor(frame.picture, cv2.COLOR_RGB2BGR))
+                    write(frame.picture)
                     written += 1
                 clock.mark("write")
                 tracked, known = tracked + frame.tracked, frame.known
@@ -276,8 +276,6 @@ def write_film(
         except KeyboardInterrupt:
             if isinstance(source, Path) or not whole:
                 raise
-        finally:
-            made.release()
         if not tracked:
             raise InputError(
                 f"none of {len(whole)} frames shows the marker board: nothing was drawn"
@@ -295,11 +293,3 @@ def write_film(
 
 def _median_ms(seconds: Iterable[float]) -> float:
     return 1000 * float(np.median(list(seconds)))
-
-
-def _writer(path: Path, rate: float, width: int, height: int) -> cv2.VideoWriter:
-    code = cv2.VideoWriter.fourcc(*"mp4v")
-    made = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, rate, (width, height))
-    if not made.isOpened():
-        raise OutputError(f"cannot write a film to {path.parent}: choose another folder")
-    return made

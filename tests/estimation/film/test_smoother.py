@@ -1,12 +1,13 @@
 """The smoother against one dense least-squares problem, and against closed forms."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from skylight.estimation.film._smoother import Drifting, Sight, likeliest, smooth
+from skylight.estimation.film._smoother import Drifting, Sight, covariance_of, likeliest, smooth
 
 DRIFT, NOISE = 0.3, 1.7
 
@@ -110,3 +111,25 @@ def test_drift_and_noise_are_told_by_the_data(drift: float, noise: float) -> Non
     found_drift, found_noise = likeliest(model, sights)
     assert found_noise == pytest.approx(noise, rel=0.15)
     assert found_drift < 1e-6 if drift < 1e-6 else found_drift == pytest.approx(drift, rel=0.35)
+
+
+def test_a_rounded_precision_gives_a_covariance() -> None:
+    """A Hessian in float32, some of whose unknowns are hardly told: a sharp sight still filters."""
+    rng = np.random.default_rng(0)
+    root = np.linalg.qr(rng.normal(size=(90, 90)))[0]
+    precision = root * np.geomspace(1e-3, 100, 90) @ root.T
+    rounded = precision + 1e-5 * rng.normal(size=precision.shape)
+    covariance = covariance_of(rounded)
+    np.testing.assert_array_equal(covariance, covariance.T)
+    sights = [Sight(matrix=70 * np.eye(90), value=np.zeros(90))]
+    model = Drifting(
+        mean=np.zeros(90), covariance=covariance, times_s=np.zeros(1), scale=np.ones(90)
+    )
+    exact = smooth(
+        replace(model, covariance=np.linalg.inv(precision)), sights, drift=0.0, noise=0.1
+    )
+    found = smooth(model, sights, drift=0.0, noise=0.1)
+    np.testing.assert_allclose(found.covariances, exact.covariances, atol=1e-6)
+    uneven = replace(model, covariance=np.linalg.inv(rounded))
+    with pytest.raises(np.linalg.LinAlgError):  # what the rounding would do
+        smooth(uneven, sights, drift=0.0, noise=0.1)

@@ -1,0 +1,160 @@
+"""Where the head of a film's person is in every frame, smoothly."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation, Slerp
+
+from skylight.errors import InputError
+from skylight.estimation.film._kept import KeptFilm
+from skylight.estimation.film._one_face import OneFace
+from skylight.faces._fit import FitState
+from skylight.faces._mediapipe import MediaPipeLandmarker
+from skylight.faces._model import HeadModel
+from skylight.faces._next_pose import followed_pose
+from skylight.imaging._film import film_frames
+from skylight.work._progress import Progress
+
+STILL_S = 0.05  # standard deviation of the Gaussian over which poses are averaged in time
+# So long after a face was seen last it is relit as before, and so long it takes to leave that
+HELD_S, FADE_S = 0.25, 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Poses:
+    """The frames of a shot with a face near them, in order: ``numbers`` and ``times_s`` (n,).
+
+    ``states`` are the head's, and ``turns`` (n,3,3) the camera's, world from camera; ``shares``
+    (n,) are how much of a new light the frame gets: 1, but less where no face was seen for long.
+    ``gaps`` are times in which there was none.
+    """
+
+    numbers: Int[ndarray, " n"]
+    times_s: Float[ndarray, " n"]
+    states: tuple[FitState, ...]
+    turns: Float[ndarray, "n 3 3"]
+    shares: Float[ndarray, " n"]
+    gaps: tuple[tuple[float, float], ...]
+
+
+def film_poses(film: KeptFilm, progress: Progress | None = None) -> Poses:
+    """The person of a film followed from frame to frame, in pictures of ``film.size``.
+
+    From each keyframe's pose on, by the landmarks of one glance a frame; shape and focal length are
+    the film's. Where the face is not seen, poses are interpolated. All are averaged over
+    :data:`STILL_S`, which halves the noise of landmarks and makes a nod twice a second of 5
+    degrees one of 4.
+
+    Raises
+    ------
+    InputError
+        The film cannot be read, or the person is not found in it.
+    """
+    found = list(_followed(film, progress))
+    numbers = np.array([number for number, _, _ in found], dtype=int)
+    times_s = np.array([time_s for _, time_s, _ in found])
+    seen = np.array([state is not None for _, _, state in found], dtype=bool)
+    if not seen.any():
+        raise InputError(f"{film.file}: the face is not found in it again; estimate the film again")
+    states = [state for _, _, state in found if state is not None]
+    since = np.abs(times_s[:, None] - times_s[seen][None])
+    nearest = since.min(1) if len(found) else since
+    shares = np.clip(1 - (nearest - HELD_S) / FADE_S, 0, 1)
+    return Poses(
+        numbers=numbers,
+        times_s=times_s,
+        states=_smooth(states, times_s[seen], times_s),
+        turns=_between(film.times_s, film.world_from_camera, times_s).as_matrix(),
+        shares=shares,
+        gaps=tuple(_gaps(times_s, shares)),
+    )
+
+
+def _followed(
+    film: KeptFilm, progress: Progress | None
+) -> Iterator[tuple[int, float, FitState | None]]:
+    """Each frame of the shot: its number and time, and the head where it is seen."""
+    tell, heads = progress or (lambda _share: None), HeadModel.load()
+    keyframes = {int(number): k for k, number in enumerate(film.frames)}
+    one = OneFace(MediaPipeLandmarker(), str(film.file), film.face)
+    state, (begin_s, end_s) = film.poses[0], film.shot
+    for frame in film_frames(film.file, most_side=max(film.size)):
+        tell(min(frame.time_s / max(end_s, 1e-3), 1.0))
+        if frame.time_s < min(begin_s, film.times_s[0]) - 1e-6:
+            continue
+        if frame.time_s > end_s + 1e-6:
+            break
+        k = keyframes.get(frame.number)
+        if k is not None:
+            one.begin(film.points[k])
+            state = film.poses[k]
+            yield frame.number, frame.time_s, state
+            continue
+        points = one.look(frame)
+        next_state = None if points is None else followed_pose(heads, state, points, film.size)
+        state = next_state or state
+        yield frame.number, frame.time_s, next_state
+
+
+def _smooth(
+    states: list[FitState], seen_s: Float[ndarray, " s"], times_s: Float[ndarray, " n"]
+) -> tuple[FitState, ...]:
+    """Poses at all times, from those that were seen, averaged in time."""
+    first = states[0]
+
+    def averaged(values: Float[ndarray, "s *d"]) -> Float[ndarray, "n *d"]:
+        flat = values.reshape(len(values), -1)
+        there = np.stack([np.interp(times_s, seen_s, column) for column in flat.T], 1)
+        step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
+        sigma = STILL_S / max(step_s, 1e-3)
+        there = gaussian_filter1d(there, sigma, axis=0, mode="nearest") if sigma > 0.1 else there
+        return there.reshape(len(times_s), *values.shape[1:])
+
+    # the mean of rotations so near to each other is that of their matrices, made orthonormal
+    matrices = averaged(np.array([state.rotation for state in states]))
+    left, _, right = np.linalg.svd(matrices)
+    rotations = left @ right
+    depth = np.array([state.translation for state in states])
+    translations = averaged(depth)
+    expressions = averaged(np.array([state.expression for state in states]))
+    return tuple(
+        FitState(
+            rotation=rotation,
+            translation=translation,
+            log_focal=first.log_focal,
+            identity=first.identity,
+            expression=expression,
+        )
+        for rotation, translation, expression in zip(
+            rotations, translations, expressions, strict=True
+        )
+    )
+
+
+def _between(
+    known_s: Float[ndarray, " k"], turns: Float[ndarray, "k 3 3"], times_s: Float[ndarray, " n"]
+) -> Rotation:
+    """The camera's turns at all times, along great circles between keyframes."""
+    if len(known_s) == 1:
+        return Rotation.from_matrix(np.repeat(turns, len(times_s), axis=0))
+    along = Slerp(known_s, Rotation.from_matrix(turns))
+    return along(np.clip(times_s, known_s[0], known_s[-1]))
+
+
+def _gaps(
+    times_s: Float[ndarray, " n"], shares: Float[ndarray, " n"]
+) -> Iterator[tuple[float, float]]:
+    begin = math.nan
+    for time_s, share in zip(times_s, shares, strict=True):
+        if share < 1 and math.isnan(begin):
+            begin = time_s
+        elif share == 1 and not math.isnan(begin):
+            yield float(begin), float(time_s)
+            begin = math.nan
+    if not math.isnan(begin):
+        yield float(begin), float(times_s[-1])
