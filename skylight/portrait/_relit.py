@@ -10,7 +10,8 @@ m being the mean of ``ln L_B - ln L_A`` over the face, C what continues a gain b
 (:meth:`~skylight.portrait._gain.Surface.continued`), U what of A the picture does not show
 (:class:`~skylight.portrait._gain.Unseen`), c what the two lights share, and q below 1 where there
 are doubts. So where the light stays, the picture stays. ``tint`` is the change of the lights' mean
-colour, one for all of the person, and s what skin gets as it changes
+colour, one for all of the person, and of what its hollows send each other
+(:mod:`skylight.portrait._bounce`), and s what skin gets as it changes
 (:class:`~skylight.portrait._gain.SkinColour`). The bound and v leave white and black what they are
 (:mod:`skylight.portrait._room`). A lamp behind the person adds an edge
 (:mod:`skylight.portrait._edge`).
@@ -43,6 +44,7 @@ from skylight.faces._observe import SKIN_SPECULAR, hair_of
 from skylight.faces._segmentation import person_matte
 from skylight.imaging._edits import UNEDITED, Edit
 from skylight.imaging._photo import Photo
+from skylight.portrait._bounce import bounced, hollow_tint, hue_of
 from skylight.portrait._edge import SHEEN, EdgeLight, leaning
 from skylight.portrait._gain import (
     EXACT,
@@ -70,6 +72,7 @@ from skylight.portrait._room import (
 )
 from skylight.portrait._surface import BUST, FACE_PX, HAIR, PersonSurface
 from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.transport._render import SMOOTH_HEIGHT
 from skylight.work._progress import Progress
 
 # Of what the skin shows in any channel. Estimates take too much for specular reflection, most of
@@ -124,6 +127,9 @@ class Portrait:
     specular: Float[ndarray, "p q 3"]
     on: Surface
     mean: Float[ndarray, "3"]
+    openness: Float[ndarray, "p q"]
+    hue: Float[ndarray, "3"]
+    hollow: Float[ndarray, "p q"]
     before: Float[ndarray, "p q"]
     unseen: Unseen
     colour: SkinColour
@@ -171,7 +177,12 @@ class Portrait:
             (shown - most * shine) @ LUMINANCE_WEIGHTS / max(mean @ LUMINANCE_WEIGHTS, 1e-12)
         )
         albedo = max(albedo, _BLACKEST)
-        before, exact = (level_of(shading, specular / albedo, on, x) for x in (SHARP, EXACT))
+        openness = _openness(person)
+        hue = hue_of(colour_of(np.maximum(shown - most * shine, 0)) - colour_of(mean))
+        hollow = bounced(shading @ LUMINANCE_WEIGHTS, openness, on.covered, on.face_px)
+        before, exact = (
+            level_of(shading, hollow, specular / albedo, on, x) for x in (SHARP, EXACT)
+        )
         plain = on_skin & (regions == Region.FACE)
         plain = float32(plain) if plain.any() else on.face
         hidden = unseen(picture, before, exact, plain, on)
@@ -205,6 +216,9 @@ class Portrait:
             specular=specular,
             on=on,
             mean=mean,
+            openness=openness,
+            hue=hue,
+            hollow=on.share_of(hollow, shading),
             before=before,
             unseen=hidden,
             colour=SkinColour.of(small, small_base, plain, on),
@@ -231,7 +245,8 @@ class Portrait:
         size = (self.scene.shape[0], self.scene.shape[1])
         shading, specular = self.shaded_by(light)
         received = self.on.mean(shading)
-        gain = level_of(shading, specular / self.albedo, self.on) - self.before
+        hollow = self.bounced(shading)
+        gain = level_of(shading, hollow, specular / self.albedo, self.on) - self.before
         cast = colour_of(received) - colour_of(self.mean)
         factor = 1.0
         if keep == "brightness" and received.any():
@@ -246,7 +261,9 @@ class Portrait:
         level = self.strength * bounded(gain, most, least) + usual
         level = above_veil(level, self.base, self.skin, self.veil, usual)
         level = below_white(level, self.base, self.skin)
-        tint = cast + self.colour.change(level - usual, self.base)
+        tint = cast + self.skin[..., None] * resized(self._reddened(shading, hollow), size)
+        tint = tint + self.colour.change(level - usual, self.base)
+        tint = tint + self.colour.without_highlights(level - usual)
         behind = np.ones(3, np.float32)
         if keep != "place":
             behind = np.maximum(factor * self._behind(light), 1e-9)
@@ -254,7 +271,8 @@ class Portrait:
         picture = self.scene * (within * np.exp(tint + level[..., None]) + (1 - within) * behind)
         if edge is not None:
             sent = within**2 * edge.on(resized(self.leaning, size))[..., None]
-            room = (1 - np.exp(self.base))[..., None]  # so that white stays as it is
+            # so that nothing becomes brighter than white
+            room = np.maximum(1 - np.exp(self.base + level), 0)[..., None]
             shown = np.maximum(self.scene @ LUMINANCE_WEIGHTS, 0)[..., None]
             sheen = SHEEN * np.sqrt(self.bright * shown)
             picture = picture + room * sent * (self.scene + sheen)
@@ -270,6 +288,19 @@ class Portrait:
     ) -> tuple[Float[ndarray, "p q 3"], Float[ndarray, "p q 3"]]:
         """(S, g) of the module's text under a light, 0 where there is no surface."""
         return _images(self.person, light, self.specular_scale, grey=self.grey)
+
+    def bounced(self, shading: Float[ndarray, "p q 3"]) -> Float[ndarray, "p q"]:
+        """B of :mod:`skylight.portrait._bounce`."""
+        direct = shading @ LUMINANCE_WEIGHTS
+        return bounced(direct, self.openness, self.on.covered, self.on.face_px)
+
+    def _reddened(
+        self, shading: Float[ndarray, "p q 3"], hollow: Float[ndarray, "p q"]
+    ) -> Float[ndarray, "p q 3"]:
+        """What hollows change of their colour, as far as the gain is laid on."""
+        shares = self.on.share_of(hollow, shading), self.hollow
+        after, before = (hollow_tint(self.on.continued(each), self.hue) for each in shares)
+        return self.strength * (after - before)
 
     def _behind(self, light: EnvironmentMap) -> Float[ndarray, "3"]:
         """How much brighter what lies behind becomes."""
@@ -317,6 +348,14 @@ def upright_irradiance(light: EnvironmentMap) -> Float[Tensor, "3"]:
     across = light.grid.directions[:, [0, 2]].norm(dim=1)
     weight = across * light.grid.solid_angles / math.pi
     return weight @ light.flat.double()
+
+
+def _openness(person: PersonSurface) -> Float[ndarray, "p q"]:
+    """How much of an even light reaches each point, 1 where there is no surface."""
+    rows = SMOOTH_HEIGHT
+    even = EnvironmentMap(radiance=torch.ones(rows, 2 * rows, 3))
+    received = person.shade(even, SKIN_SPECULAR).diffuse[:, :1] - 1
+    return 1 + float32(person.surface.image(received).numpy())[..., 0]
 
 
 def _images(
