@@ -19,14 +19,15 @@ from numpy import ndarray
 
 from skylight.portrait._gain import float32
 
-WIDTH = 0.16  # of the face's height
+WIDTH = 0.36  # of the face's height: heads with hair are somewhat thicker, necks and arms thinner
+GAP = 0.06  # of it: radius of gaps in the matte that are closed
 SMOOTH = 0.03  # of it: the standard deviation of the outline's own normal, so that locks have none
 # Of z of the direction to a lamp, towards the camera: from here on it is all edge, and from 0 none
 BEHIND = -0.5
-METERED = 0.06  # of a ball's brightness: what an edge counts for in an exposure
-GRAZING = 5.0  # times as much is reflected from behind as Lambert's law has it: Fresnel's
+METERED = 0.12  # of a ball's brightness: what an edge counts for in an exposure
+GRAZING = 2.5  # times as much is reflected from behind as Lambert's law has it: Fresnel's
 # Of the geometric mean of a place's brightness and skin's, which dark hair reflects without colour
-SHEEN = 0.6
+SHEEN = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +71,7 @@ def leaning(
     small = cv2.resize(float32(matte), size[::-1], interpolation=cv2.INTER_AREA)
     wide = round(WIDTH * face_px) + 2
     small = cv2.copyMakeBorder(small, wide, wide, wide, wide, cv2.BORDER_REPLICATE)
+    small = _whole(small, face_px)
     within = cv2.distanceTransform((small > 0.5).astype(np.uint8), cv2.DIST_L2, 5)
     smooth = cv2.GaussianBlur(small, (0, 0), SMOOTH * face_px)
     # of the distance too, whose gradient reaches farther in than the matte's
@@ -80,3 +82,10 @@ def leaning(
     share = 1 - np.minimum(within / (WIDTH * face_px), 1)
     out = np.dstack([-right, down]) * (share / np.maximum(length, 1e-6))[..., None]
     return float32(out[wide:-wide, wide:-wide])
+
+
+def _whole(matte: Float[ndarray, "h w"], face_px: float) -> Float[ndarray, "h w"]:
+    """Without gaps between locks and holes at earrings, which are no outline."""
+    side = 2 * round(GAP * face_px) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return cv2.morphologyEx(matte, cv2.MORPH_CLOSE, disc)

@@ -36,10 +36,11 @@ TEXTURE = 0.05  # standard deviation of skin's albedo
 HUE = 0.35  # what skin's own colour differs by between shadow and light
 ALIKE = 0.25  # and from place to place
 SOON = 0.25  # change of level
+GLOSSY = 0.3  # brighter than usual skin: a highlight
 STEPS = 16  # of brightness
 FEW = 0.004  # of a face's pixels: so many tell little of their colour
 PORES = 0.15  # what the guided filter takes for texture
-BASE = 0.04  # of the mean shading, in addition: light that bounces between the parts of a face
+BASE = 0.01  # of the mean shading, in addition: light that scatters below the skin
 SHINE = 0.7  # of the specular reflection, which no estimate knows well
 DARKEST = 0.004  # of white, before logarithms: noise of the darkest pixels
 LUMINANCE_WEIGHTS = np.array(LUMINANCE, np.float32)
@@ -95,12 +96,12 @@ def enlarged(
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """Where a picture of shading shows skin (``bare``), that of the face (``face``), and any
-    surface (``covered``)."""
+    """Where a picture of shading shows skin (``bare``), that of the face (``face``), and what light
+    was traced to: skin below hair too (``traced``)."""
 
     bare: Float[ndarray, "p q"]
     face: Float[ndarray, "p q"]
-    covered: Float[ndarray, "p q"]
+    traced: Float[ndarray, "p q"]
     face_px: float
 
     def mean(self, picture: Float[ndarray, "p q c"]) -> Float[ndarray, " c"]:
@@ -121,6 +122,14 @@ class Surface:
         cover = cv2.GaussianBlur(self.face, (0, 0), reach)
         return filled(near, np.clip(cover / NEAR, 0, 1))[..., 0]
 
+    def share_of(
+        self, part: Float[ndarray, "p q"], shading: Float[ndarray, "p q 3"]
+    ) -> Float[ndarray, "p q"]:
+        """``part / (part + shading)`` near the face, by luminances as smooth as levels are."""
+        both = np.dstack([part, part + shading @ LUMINANCE_WEIGHTS])
+        near = blurred(both, self.face, SHARP * self.face_px)
+        return near[..., 0] / np.maximum(near[..., 1], 1e-9)
+
     def continued(self, gain: Float[ndarray, "p q"]) -> Float[ndarray, "p q"]:
         """The face's own, and :meth:`beyond` it."""
         share = self.share()
@@ -129,16 +138,18 @@ class Surface:
 
 def level_of(
     shading: Float[ndarray, "p q 3"],
+    hollow: Float[ndarray, "p q"],
     specular: Float[ndarray, "p q 3"],
     on: Surface,
     sharp: float = SHARP,
 ) -> Float[ndarray, "p q"]:
-    """Light on a face as far as it is known, a logarithm: ``ln(E[S + SHINE g] + BASE mean(S))``.
+    """Light on a face as far as it is known, ``ln(E[S + B + SHINE g] + BASE mean(S))``.
 
     Of the luminance of diffuse and, in part, specular reflection of albedo 1; ``specular`` is over
-    the albedo. The expectation is over the face near a place, and of no use far from it.
+    the albedo, and ``hollow`` is B of :mod:`skylight.portrait._bounce`.
+    The expectation is over the face near a place, and of no use far from it.
     """
-    whole = ((shading + SHINE * specular) @ LUMINANCE_WEIGHTS)[..., None]
+    whole = ((shading + SHINE * specular) @ LUMINANCE_WEIGHTS + hollow)[..., None]
     base = BASE * float(on.mean(shading) @ LUMINANCE_WEIGHTS)
     near = blurred(whole, on.face, sharp * on.face_px)[..., 0]
     return np.log(np.maximum(near + base, 1e-9))
@@ -172,11 +183,13 @@ class SkinColour:
     or brighter changes its colour too. ``lacks`` (n,3) are logarithms at ``n`` steps of
     :func:`~skylight.portrait._room.base_of`, from ``ln DARKEST`` to 0, of means over the face, so
     they are the same wherever skin is as bright. ``alike`` (p,q) is how far a place has the colour
-    of skin of its brightness, as a collar, lips and hair have not.
+    of skin of its brightness, as a collar, lips and hair have not. ``pale`` (p,q,3), at most 0, is
+    what highlights have too much of each channel.
     """
 
     lacks: Float[ndarray, "n 3"]
     alike: Float[ndarray, "p q"]
+    pale: Float[ndarray, "p q 3"]
 
     @staticmethod
     def of(
@@ -203,9 +216,27 @@ class SkinColour:
         own = colour_of(blurred(picture, on.bare, EXACT * on.face_px))
         off = own - (mean - _at(base, table))
         alike = on.bare * np.exp(-(off**2).sum(2) / (2 * ALIKE**2))
+        soft = EXACT * on.face_px
+        # what is brighter than usual skin and paler lies on the line to white
+        bright = np.clip((base - usual) / GLOSSY, 0, 1)
+        paler = np.clip((mean - own) @ mean / max(mean @ mean, 1e-6), 0, 1)[..., None] * mean
+        off = np.square(mean - own - paler).sum(2)
+        share = plain * bright * np.exp(-off / (2 * ALIKE**2))
+        pale = share[..., None] * np.minimum(paler - alike[..., None] * _at(base, table), 0)
         return SkinColour(
-            lacks=float32(table), alike=cv2.GaussianBlur(float32(alike), (0, 0), EXACT * on.face_px)
+            lacks=float32(table),
+            alike=cv2.GaussianBlur(float32(alike), (0, 0), soft),
+            pale=cv2.GaussianBlur(float32(pale), (0, 0), soft),
         )
+
+    def without_highlights(self, gain: Float[ndarray, "h w"]) -> Float[ndarray, "h w 3"]:
+        """Of colour where ``gain`` is below 0: a highlight of the old light goes with it.
+
+        What lies between usual skin and white gets the colour of usual skin, by its weaker
+        channels alone: so the highlight's brightness goes too.
+        """
+        share = -np.expm1(np.minimum(gain, 0) / SOON)
+        return share[..., None] * resized(self.pale, (gain.shape[0], gain.shape[1]))
 
     def change(
         self, gain: Float[ndarray, "h w"], base: Float[ndarray, "h w"]

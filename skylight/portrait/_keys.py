@@ -39,7 +39,7 @@ KEYS = MappingProxyType[KeyName, tuple[float, float]](
     {
         "left": (-50.0, 30.0),
         "right": (50.0, 30.0),
-        "top": (0.0, 50.0),
+        "top": (0.0, 42.0),
         "rim": (140.0, 25.0),
         "front": (0.0, 15.0),
     }

@@ -10,7 +10,8 @@ m being the mean of ``ln L_B - ln L_A`` over the face, C what continues a gain b
 (:meth:`~skylight.portrait._gain.Surface.continued`), U what of A the picture does not show
 (:class:`~skylight.portrait._gain.Unseen`), c what the two lights share, and q below 1 where there
 are doubts. So where the light stays, the picture stays. ``tint`` is the change of the lights' mean
-colour, one for all of the person, and s what skin gets as it changes
+colour, one for all of the person, and of what its hollows send each other
+(:mod:`skylight.portrait._bounce`), and s what skin gets as it changes
 (:class:`~skylight.portrait._gain.SkinColour`). The bound and v leave white and black what they are
 (:mod:`skylight.portrait._room`). A lamp behind the person adds an edge
 (:mod:`skylight.portrait._edge`).
@@ -44,6 +45,7 @@ from skylight.faces._observe import SKIN_SPECULAR, hair_of
 from skylight.faces._segmentation import person_matte
 from skylight.imaging._edits import UNEDITED, Edit
 from skylight.imaging._photo import Photo
+from skylight.portrait._bounce import bounced, hollow_tint, hue_of
 from skylight.portrait._edge import SHEEN, EdgeLight, leaning
 from skylight.portrait._gain import (
     EXACT,
@@ -79,6 +81,7 @@ from skylight.portrait._surface import (
     region_image,
 )
 from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.transport._render import SMOOTH_HEIGHT
 from skylight.work._progress import Progress
 
 # Of what the skin shows in any channel. Estimates take too much for specular reflection, most of
@@ -100,7 +103,7 @@ SHARED_ROWS = 16  # cells of 11 degrees: how far a lamp moves until it is anothe
 @dataclass(frozen=True, kw_only=True)
 class Gains:
     """What a picture is multiplied by, ``times`` (h,w,3), and how much of an ``edge`` (h,w) it
-    gets, None where there is none. ``factor`` is of the light, so that skin keeps its brightness.
+    gets as far as there is room below white, None where there is none. ``factor`` is of the light, so that skin keeps its brightness.
     """
 
     times: Float[ndarray, "h w 3"]
@@ -168,6 +171,9 @@ class Portrait:
     specular: Float[ndarray, "p q 3"]
     on: Surface
     mean: Float[ndarray, "3"]
+    openness: Float[ndarray, "p q"]
+    hue: Float[ndarray, "3"]
+    hollow: Float[ndarray, "p q"]
     before: Float[ndarray, "p q"]
     unseen: Unseen
     colour: SkinColour
@@ -208,7 +214,7 @@ class Portrait:
         on = Surface(
             bare=float32(on_skin),
             face=float32(front if front.any() else on_skin),
-            covered=float32(regions >= 0),
+            traced=float32(np.isin(regions, SKIN)),
             face_px=person.face_px,
         )
         mean, shine, shown = (on.mean(each) for each in (shading, specular, small))
@@ -220,7 +226,12 @@ class Portrait:
             (shown - most * shine) @ LUMINANCE_WEIGHTS / max(mean @ LUMINANCE_WEIGHTS, 1e-12)
         )
         albedo = max(albedo, _BLACKEST) if held is None else held.albedo
-        before, exact = (level_of(shading, specular / albedo, on, x) for x in (SHARP, EXACT))
+        openness = _openness(person)
+        hue = hue_of(colour_of(np.maximum(shown - most * shine, 0)) - colour_of(mean))
+        hollow = bounced(shading @ LUMINANCE_WEIGHTS, openness, on.traced, on.face_px)
+        before, exact = (
+            level_of(shading, hollow, specular / albedo, on, x) for x in (SHARP, EXACT)
+        )
         plain = on_skin & (regions == Region.FACE)
         plain = float32(plain) if plain.any() else on.face
         hidden = unseen(picture, before, exact, plain, on, None if held is None else held.slope)
@@ -254,6 +265,9 @@ class Portrait:
             specular=specular,
             on=on,
             mean=mean,
+            openness=openness,
+            hue=hue,
+            hollow=on.share_of(hollow, shading),
             before=before,
             unseen=hidden,
             colour=SkinColour.of(
@@ -297,7 +311,8 @@ class Portrait:
         size = (self.scene.shape[0], self.scene.shape[1])
         shading, specular = self.shaded_by(light)
         received = self.on.mean(shading)
-        gain = level_of(shading, specular / self.albedo, self.on) - self.before
+        hollow = self.bounced(shading)
+        gain = level_of(shading, hollow, specular / self.albedo, self.on) - self.before
         cast = colour_of(received) - colour_of(self.mean)
         if factor is None:
             factor = 1.0
@@ -313,14 +328,18 @@ class Portrait:
         level = self.strength * bounded(gain, most, least) + usual
         level = above_veil(level, self.base, self.skin, self.veil, usual)
         level = below_white(level, self.base, self.skin)
-        tint = cast + self.colour.change(level - usual, self.base)
+        tint = cast + self.skin[..., None] * resized(self._reddened(shading, hollow), size)
+        tint = tint + self.colour.change(level - usual, self.base)
+        tint = tint + self.colour.without_highlights(level - usual)
         behind = np.ones(3, np.float32)
         if keep != "place":
             behind = np.maximum(factor * self._behind(light), 1e-9)
         within = self.matte[..., None]
         edged = None
         if edge is not None:
-            edged = within[..., 0] ** 2 * edge.on(resized(self.leaning, size))
+            # so that nothing becomes brighter than white
+            room = np.maximum(1 - np.exp(self.base + level), 0)
+            edged = room * within[..., 0] ** 2 * edge.on(resized(self.leaning, size))
         return Gains(
             times=within * np.exp(tint + level[..., None]) + (1 - within) * behind,
             edge=edged,
@@ -331,10 +350,9 @@ class Portrait:
         """The photograph with those gains, linear."""
         picture = self.scene * gains.times
         if gains.edge is not None:
-            room = (1 - np.exp(self.base))[..., None]  # so that white stays as it is
             shown = np.maximum(self.scene @ LUMINANCE_WEIGHTS, 0)[..., None]
             sheen = SHEEN * np.sqrt(self.bright * shown)
-            picture = picture + room * gains.edge[..., None] * (self.scene + sheen)
+            picture = picture + gains.edge[..., None] * (self.scene + sheen)
         # what an edit made black is not known again: where nothing changed, nothing changes
         picture = self._edited(picture) + (self.photo - self._edited(self.scene))
         return np.maximum(picture, 0)
@@ -347,6 +365,19 @@ class Portrait:
     ) -> tuple[Float[ndarray, "p q 3"], Float[ndarray, "p q 3"]]:
         """(S, g) of the module's text under a light, 0 where there is no skin."""
         return _images(self.person, light, self.specular_scale, grey=self.grey)
+
+    def bounced(self, shading: Float[ndarray, "p q 3"]) -> Float[ndarray, "p q"]:
+        """B of :mod:`skylight.portrait._bounce`."""
+        direct = shading @ LUMINANCE_WEIGHTS
+        return bounced(direct, self.openness, self.on.traced, self.on.face_px)
+
+    def _reddened(
+        self, shading: Float[ndarray, "p q 3"], hollow: Float[ndarray, "p q"]
+    ) -> Float[ndarray, "p q 3"]:
+        """What hollows change of their colour, as far as the gain is laid on."""
+        shares = self.on.share_of(hollow, shading), self.hollow
+        after, before = (hollow_tint(self.on.continued(each), self.hue) for each in shares)
+        return self.strength * (after - before)
 
     def _behind(self, light: EnvironmentMap) -> Float[ndarray, "3"]:
         """How much brighter what lies behind becomes."""
@@ -394,6 +425,13 @@ def upright_irradiance(light: EnvironmentMap) -> Float[Tensor, "3"]:
     across = light.grid.directions[:, [0, 2]].norm(dim=1)
     weight = across * light.grid.solid_angles / math.pi
     return weight @ light.flat.double()
+
+
+def _openness(person: LitPerson) -> Float[ndarray, "p q"]:
+    """How much of an even light reaches each point of skin, 0 elsewhere."""
+    even = EnvironmentMap(radiance=torch.ones(SMOOTH_HEIGHT, 2 * SMOOTH_HEIGHT, 3))
+    received = person.shade(even, SKIN_SPECULAR).diffuse[:, :1]
+    return float32(person.surface.image(received).numpy())[..., 0]
 
 
 def _images(

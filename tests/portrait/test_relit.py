@@ -300,7 +300,7 @@ def test_gains_are_bounded_above_the_photograph_and_below_their_mean() -> None:
     picture, _ = one.under(lamp)
     gain = np.log((picture[on_skin()] @ LUMINANCE_) / (seen[on_skin()] @ LUMINANCE_))
     shading, specular = one.shaded_by(lamp)
-    level = level_of(shading, specular / one.albedo, one.on) - one.before
+    level = level_of(shading, one.bounced(shading), specular / one.albedo, one.on) - one.before
     mean = float(level[one.on.face > 0].mean())
     assert mean < -0.5
     assert gain.max() < BRIGHTER + 0.1  # and a change of colour
@@ -482,3 +482,24 @@ def test_an_edited_photograph_is_relit_as_the_scene_is_and_edited() -> None:
     assert np.abs(scene - want)[shows].mean() < 0.01 * want[shows].mean()
     same, _ = portrait(found, seen, edit=edit).under(found)
     np.testing.assert_allclose(same, seen, atol=1e-5)
+
+
+def test_a_highlight_goes_with_its_light_and_with_no_other() -> None:
+    """A spot of white on a cheek gets darker than skin beside it does, and stays as it is lit."""
+    old = hard(120.0)
+    seen = image(old)
+    face = cv2.erode((person().region_image() == Region.FACE).astype(np.uint8), np.ones((3, 3)))
+    lit = (seen @ LUMINANCE_ > np.quantile(seen[on_skin()] @ LUMINANCE_, 0.85)) & (face > 0)
+    glossy = seen.copy()
+    glossy[lit] += 0.5 * glossy[lit].max(-1, keepdims=True)
+    one = portrait(old, glossy)
+    pale = one.colour.pale
+    assert pale.max() <= 0
+    without = portrait(old, seen).colour.pale
+    assert pale[lit][:, 2].mean() < without[lit][:, 2].mean() - 0.05
+    away = cv2.dilate(lit.astype(np.uint8), np.ones((5, 5))) == 0
+    assert np.abs(pale[away]).max() < 0.5 * np.abs(pale).max()  # the model's own highlights
+    flat = np.full(lit.shape, 1.0, np.float32)
+    np.testing.assert_array_equal(one.colour.without_highlights(0 * flat), 0)
+    np.testing.assert_array_equal(one.colour.without_highlights(flat), 0)
+    np.testing.assert_allclose(one.colour.without_highlights(-99 * flat), pale, rtol=1e-5)

@@ -69,7 +69,7 @@ def test_the_veil_is_a_part_of_the_mean_light() -> None:
 
 def test_white_stays_white_until_it_is_a_stop_and_a_half_darker() -> None:
     base, gain = (
-        np.log(np.array([[1.0, 0.96, 0.9, 0.5]], np.float32)),
+        np.log(np.array([[1.0, 0.85, 0.7, 0.5]], np.float32)),
         np.full((1, 4), -0.8, np.float32),
     )
     none, all_ = np.zeros_like(gain), np.ones_like(gain)

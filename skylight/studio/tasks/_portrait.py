@@ -42,6 +42,7 @@ from skylight.imaging._colour import linear_to_srgb
 from skylight.imaging._photo import Photo
 from skylight.io._bounded import json_content, write_json
 from skylight.io._tensors import write_tensors
+from skylight.portrait._bounce import ALBEDO, AROUND
 from skylight.portrait._edge import BEHIND, GRAZING, METERED, SHEEN
 from skylight.portrait._files import KNEE
 from skylight.portrait._gain import (
@@ -154,7 +155,9 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     of :mod:`skylight.portrait._keys` makes the ball, as ``ball`` is how bright the light found
     does. ``shading`` and ``glossy`` (m,3) are S_L and g_L, in colour.
     ``share`` is :meth:`~skylight.portrait._gain.Surface.share` of the crop, ``outline`` how its
-    outline leans (:mod:`skylight.portrait._edge`) and how far it has the colour of skin.
+    outline leans (:mod:`skylight.portrait._edge`) and how far it has the colour of skin, ``pale``
+    of :class:`~skylight.portrait._gain.SkinColour`. ``hue`` and ``albedo`` are of
+    :mod:`skylight.portrait._bounce`.
     """
     person, fill = portrait.person, fill_of(portrait.found)
     level = brightness_of_ball(fill)
@@ -189,6 +192,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "marks": torch.from_numpy(marks.round().clip(0, 255)).to(torch.uint8),
         "share": torch.from_numpy(within(portrait.on.share())),
         "outline": torch.from_numpy(within(np.dstack([portrait.leaning, portrait.colour.alike]))),
+        "pale": torch.from_numpy(within(portrait.colour.pale)),
         "places": torch.from_numpy((rows - top) * width + columns - left).int(),
         "normals": person.normals.float(),
         "views": -normalize(person.surface.positions[person.skin], dim=1).float(),
@@ -202,7 +206,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     facts = {
         "warning": face.warning,
         "doubts": list(portrait.doubts),
-        "size": portrait.on.covered.shape[::-1],
+        "size": portrait.on.traced.shape[::-1],
         "crop": [left, top, width, height],
         "keys": dict(KEYS),
         "usual": {"size_deg": USUAL_DEG, "strength": KEY_OVER_FILL},
@@ -210,8 +214,10 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "ball": brightness_of_ball(portrait.found),
         "gloss": portrait.specular_scale,
         "lobe": {"f0": SKIN_SPECULAR.f0, "alpha": SKIN_SPECULAR.alpha},
-        "sigmas_px": [x * portrait.on.face_px for x in (SHARP, REACH)],
+        "sigmas_px": [x * portrait.on.face_px for x in (SHARP, REACH, AROUND)],
         "near": NEAR,
+        "albedo": ALBEDO,
+        "hue": portrait.hue.tolist(),
         "base": BASE,
         "shine": SHINE / portrait.albedo,
         "most": [BRIGHTER, DARKER],
@@ -242,10 +248,8 @@ def _bits(visible: Tensor) -> UInt8[Tensor, "m b"]:
 
 def _crop(portrait: Portrait) -> tuple[int, int, int, int]:
     """(left, top, width, height) of what holds surface and matte, with a margin."""
-    shown = cv2.resize(
-        portrait.matte, portrait.on.covered.shape[::-1], interpolation=cv2.INTER_AREA
-    )
-    inside = (shown > 0) | (portrait.on.covered > 0)
+    shown = cv2.resize(portrait.matte, portrait.on.traced.shape[::-1], interpolation=cv2.INTER_AREA)
+    inside = (shown > 0) | (portrait.on.traced > 0)
     ends: list[tuple[int, int]] = []
     for axis in (0, 1):
         (along,) = np.nonzero(inside.any(axis))

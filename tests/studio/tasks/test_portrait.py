@@ -56,8 +56,9 @@ const light = new KeyLight(readPerson(Uint8Array.from(Buffer.from(file, "base64"
 const coded = ({ buffer, byteOffset, byteLength }) =>
     Buffer.from(buffer, byteOffset, byteLength).toString("base64");
 const answers = keys.map(([azimuth, zenith, strength, size]) => {
-    const { gain, typical, common, edge } = light.under(azimuth, zenith, strength, size);
-    return { gain: coded(gain), typical, common, edge };
+    const { gain, hollow, typical, common, edge } = light.under(azimuth, zenith, strength, size);
+    const { after, before } = hollow;
+    return { gain: coded(gain), after: coded(after), before: coded(before), typical, common, edge };
 });
 const told = JSON.stringify({ grid: light.grid, answers });
 process.stdout.write(told, () => process.exit(0));
@@ -88,7 +89,8 @@ def by_the_page(lights: Sequence[tuple[float, float, float, float]]) -> dict[str
     answer = run_in_node(_PROGRAM, {"file": file, "keys": keys})
     shape = answer["grid"]["height"], answer["grid"]["width"]
     for one in answer["answers"]:
-        one["gain"] = np.frombuffer(base64.b64decode(one["gain"]), np.float32).reshape(shape)
+        for name in ("gain", "after", "before"):
+            one[name] = np.frombuffer(base64.b64decode(one[name]), np.float32).reshape(shape)
     return answer
 
 
@@ -104,7 +106,8 @@ def in_grid(image: Float[np.ndarray, "p q *c"], grid: dict[str, int]) -> np.ndar
 def gain_of(portrait: Portrait, light: EnvironmentMap) -> Float[np.ndarray, "p q"]:
     """Changes of level on the face, as Portrait.under has them before it continues them."""
     shading, specular = portrait.shaded_by(light)
-    return level_of(shading, specular / portrait.albedo, portrait.on) - portrait.before
+    hollow = portrait.bounced(shading)
+    return level_of(shading, hollow, specular / portrait.albedo, portrait.on) - portrait.before
 
 
 def test_what_is_kept_gives_the_portrait_of_the_estimate(told: Told) -> None:
@@ -183,7 +186,7 @@ def test_the_fill_is_one_number_times_its_occlusion(taken_apart: TakenApart) -> 
 def test_gains_in_the_page_are_those_of_the_portrait() -> None:
     portrait = small()
     page = by_the_page(LIGHTS)
-    covered = in_grid(portrait.on.covered, page["grid"]) == 1
+    covered = in_grid(portrait.on.traced, page["grid"]) == 1
     for (*place, strength, size_deg), ours in zip(LIGHTS, page["answers"], strict=True):
         azimuth, elevation = place
         moved = key_light(
@@ -193,6 +196,12 @@ def test_gains_in_the_page_are_those_of_the_portrait() -> None:
         want = in_grid(portrait.on.continued(gain), page["grid"])
         off = np.abs(ours["gain"][: len(want), : want.shape[1]] - want)[covered]
         assert off.mean() < 0.015, (azimuth, elevation)  # a logarithm: 1.5 %
+        shading, _ = portrait.shaded_by(moved.environment)
+        after = portrait.on.share_of(portrait.bounced(shading), shading)
+        for name, share in (("after", after), ("before", portrait.hollow)):
+            want = in_grid(portrait.on.continued(share), page["grid"])
+            off = np.abs(ours[name][: len(want), : want.shape[1]] - want)[covered]
+            assert off.mean() < 0.01 < want[covered].max() - want[covered].min()
         on_face = gain[portrait.on.face > 0]
         assert ours["typical"] == pytest.approx(float(on_face.mean()), abs=0.015)
         shared = shared_light(portrait.found, moved.environment)
@@ -214,6 +223,7 @@ def test_the_page_gets_the_outline_and_the_colours_of_skin(taken_apart: TakenApa
     want = np.dstack([portrait.leaning, portrait.colour.alike])[crop]
     np.testing.assert_array_equal(tensors["outline"].numpy(), want)
     np.testing.assert_array_equal(tensors["share"].numpy(), portrait.on.share()[crop])
+    np.testing.assert_array_equal(tensors["pale"].numpy(), portrait.colour.pale[crop])
     assert np.abs(want[..., :2]).max() > 0.9
     np.testing.assert_allclose(facts["lacks"], portrait.colour.lacks, rtol=1e-6)
     assert len(facts["lacks"]) == 16  # as many as the page's program has room for

@@ -22,11 +22,19 @@ export interface Grid {
 export interface Lit {
   /** Of level, one number a cell. */
   gain: Float32Array;
+  /** Which share of the face's light came from itself, in the new light and the one found; of a cell. */
+  hollow: { after: Float32Array; before: Float32Array };
   /** The mean change of level over the face. */
   typical: number;
   edge: Edge;
   /** How much of the light is that of the photograph. */
   common: number;
+}
+
+/** skylight.portrait._gain.level_of a light, and which share of it is bounced; of a cell. */
+interface Level {
+  level: Float32Array;
+  hollow: Float32Array;
 }
 
 /** A lamp behind the sitter: skylight.portrait._edge.EdgeLight. */
@@ -94,11 +102,12 @@ export class KeyLight {
   private readonly filling: Filling;
   private readonly sharp: Blur;
   private readonly reach: Blur;
+  private readonly around: Blur;
   /** How many pixels of a cell are the face's; and how much of the cell is, with a soft border. */
   private readonly face: Float32Array;
   private readonly share: Float32Array;
-  /** skylight.portrait._gain.level_of the light found. */
-  private readonly before: Float32Array;
+  /** Of the light found. */
+  private readonly before: Level;
 
   constructor(private readonly person: Person) {
     const { facts, places, shading, glossy } = person;
@@ -107,8 +116,11 @@ export class KeyLight {
     this.grid = grid;
     this.cell = places.map((place) => ((Math.floor(place / width) >> 1) * grid.width) + ((place % width) >> 1));
     this.face = this.summed(person.face);
-    const blurs = facts.sigmas_px.map((sigma) => new Blur(grid.width, grid.height, this.face, sigma / grid.step));
-    [this.sharp, this.reach] = blurs as [Blur, Blur];
+    const [sharp, reach, around] = facts.sigmas_px;
+    const blur = (weights: Float32Array, sigma: number): Blur => new Blur(grid.width, grid.height, weights, sigma / grid.step);
+    this.sharp = blur(this.face, sharp);
+    this.reach = blur(this.face, reach);
+    this.around = blur(this.summed(person.face.map(() => 1)), around);
     const pixels = grid.step ** 2;
     const near = this.reach.below.map((weight) => Math.min(weight / pixels / facts.near, 1));
     this.filling = new Filling(near, grid.width, grid.height);
@@ -180,16 +192,16 @@ export class KeyLight {
       });
     const diffuse = lightOf(occlusion, luminances(this.person.shading), 0);
     const glossy = lightOf(fillGloss, luminances(this.person.glossy), 1);
-    const level = this.levelOf(diffuse, glossy).map((value, i) => value - this.before[i]!);
-    const near = this.filling.fill(this.reach.of(level.map((value, i) => value * this.face[i]!)));
-    const gain = level.map((value, i) => this.share[i]! * value + (1 - this.share[i]!) * near[i]!);
+    const after = this.levelOf(diffuse, glossy);
+    const level = after.level.map((value, i) => value - this.before.level[i]!);
     let [sum, total] = [0, 0];
     this.face.forEach((weight, i) => {
       sum += weight * level[i]!;
       total += weight;
     });
     return {
-      gain,
+      gain: this.continued(level),
+      hollow: { after: this.continued(after.hollow), before: this.continued(this.before.hollow) },
       typical: sum / total,
       common: this.common(from, dimmed, before, behind),
       edge: { direction: towards, strength: (behind * strength) / (1 + strength * metered), spreadRad: from.spreadRad },
@@ -197,11 +209,32 @@ export class KeyLight {
   }
 
   /** Of luminances of shading and gloss, one number a point. */
-  private levelOf(shading: Float32Array, glossy: Float32Array): Float32Array {
+  private levelOf(shading: Float32Array, glossy: Float32Array): Level {
     const { facts, face } = this.person;
     const base = facts.base * this.meanOnSkin(shading);
-    const whole = this.summed(shading.map((value, i) => face[i]! * (value + facts.shine * glossy[i]!)));
-    return this.sharp.of(whole).map((value) => Math.log(Math.max(value + base, 1e-9)));
+    const bounced = this.bounced(shading);
+    const whole = this.summed(shading.map((value, i) => face[i]! * (value + bounced[i]! + facts.shine * glossy[i]!)));
+    const level = this.sharp.of(whole).map((value) => Math.log(Math.max(value + base, 1e-9)));
+    const own = this.sharp.of(this.summed(bounced.map((value, i) => face[i]! * value))).slice();
+    const all = this.sharp.of(this.summed(shading.map((value, i) => face[i]! * (value + bounced[i]!))));
+    return { level, hollow: own.map((value, i) => value / Math.max(all[i]!, 1e-9)) };
+  }
+
+  /** Of luminances of shading, what hollows receive of the person: skylight.portrait._bounce. */
+  private bounced(shading: Float32Array): Float32Array {
+    const { facts, occlusion } = this.person;
+    const mean = this.around.of(this.summed(shading));
+    return occlusion.map((share, i) => {
+      // an even light of radiance 1 makes the ball as bright as pi
+      const hidden = facts.albedo * Math.min(Math.max(1 - Math.PI * share, 0), 1);
+      return (mean[this.cell[i]!]! * hidden) / (1 - hidden);
+    });
+  }
+
+  /** skylight.portrait._gain.Surface.continued. */
+  private continued(values: Float32Array): Float32Array {
+    const near = this.filling.fill(this.reach.of(values.map((value, i) => value * this.face[i]!)));
+    return values.map((value, i) => this.share[i]! * value + (1 - this.share[i]!) * near[i]!);
   }
 
   /** `max(0, 1 - |p - q|_1)` of skylight.portrait._relit.shared_light. */

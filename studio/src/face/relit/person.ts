@@ -17,7 +17,10 @@ export interface Facts {
   ball: number;
   gloss: number;
   lobe: { f0: number; alpha: number };
-  sigmas_px: [sharp: number, reach: number];
+  sigmas_px: [sharp: number, reach: number, around: number];
+  /** Of skin: what hollows receive of the face, and its colour. */
+  albedo: number;
+  hue: Rgb;
   near: number;
   base: number;
   shine: number;
@@ -67,6 +70,8 @@ export interface Person {
   share: Float32Array;
   /** How the outline leans, to the right and up, and how far it has the colour of skin; of the crop's pixels. */
   outline: Float32Array;
+  /** What highlights have too much of each channel, a logarithm; of the crop's pixels. */
+  pale: Float32Array;
   foundPower: Float32Array;
   foundMap: { width: number; height: number; data: Float32Array };
 }
@@ -93,6 +98,7 @@ export function readPerson(file: ArrayBuffer): Person {
     face: tensors.floats("face"),
     share: tensors.floats("share"),
     outline: tensors.floats("outline"),
+    pale: tensors.floats("pale"),
     foundPower: tensors.floats("found_power"),
     foundMap: { ...sized("found_map"), data: tensors.floats("found_map") },
   };

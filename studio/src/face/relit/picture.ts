@@ -11,11 +11,11 @@ void main() {
 const PIXEL = `#version 300 es
 precision highp float;
 const int STEPS = 16;
-uniform highp sampler2D photo, marks, gain, outline;
+uniform highp sampler2D photo, marks, gain, outline, pale;
 uniform vec2 size, from, extent, crop; // of the picture; and where the person's grid, and its crop, are in it
 uniform vec2 drawn; // pixels of the canvas
 uniform vec2 most, otherMost;
-uniform vec3 lacks[STEPS];
+uniform vec3 lacks[STEPS], hue;
 uniform vec3 lamp; // behind the sitter
 uniform float edge, grazing, spread, sheen, soon;
 uniform float typical, doubted, other, range, knee;
@@ -43,7 +43,8 @@ void main() {
     vec3 mark = texture(marks, at / size).rgb;
     float hidden = range * (2.0 * mark.r - 1.0);
     float base = darkest * (1.0 - mark.g);
-    float more = texture(gain, (at - from) / extent).r + other * hidden - typical;
+    vec3 change = texture(gain, (at - from) / extent).rgb; // of level; and light from the face, after and before
+    float more = change.r + other * hidden - typical;
     float limit = more > 0.0 ? clamp(-base - typical - shortOfWhite, leastRoom, mix(otherMost.x, most.x - min(typical, 0.0), mark.b)) : mix(otherMost.y, most.y, mark.b);
     float level = typical + doubted * limit * tanh_(vec3(more / limit)).x;
     float usual = max(typical, 0.0);
@@ -53,10 +54,12 @@ void main() {
     float place = mark.g * float(STEPS - 1);
     int step = min(int(place), STEPS - 2);
     vec3 tint = leans.b * (1.0 - exp(-abs(level - typical) / soon)) * mix(lacks[step], lacks[step + 1], place - float(step));
+    tint += mark.b * doubted * (log(1.0 + change.g * (hue - 1.0)) - log(1.0 + change.b * (hue - 1.0)));
+    tint += (1.0 - exp(min(level - typical, 0.0) / soon)) * texture(pale, (at - from) / crop).rgb;
     float cosine = dot(leans.rg, lamp.xy) + sqrt(max(1.0 - dot(leans.rg, leans.rg), 0.0)) * lamp.z;
     float radius = 2.0 * spread, risen = clamp(cosine + radius, 0.0, 2.0 * radius);
     float sent = grazing * edge * (risen * risen / (4.0 * radius) + max(cosine - radius, 0.0));
-    vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a) + seen.a * seen.a * (1.0 - exp(base)) * sent * (scene + sheen * sqrt(max(dot(scene, vec3(0.2126, 0.7152, 0.0722)), 0.0)));
+    vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a) + seen.a * seen.a * max(1.0 - exp(base + level), 0.0) * sent * (scene + sheen * sqrt(max(dot(scene, vec3(0.2126, 0.7152, 0.0722)), 0.0)));
     light = max(edited(person) + p - edited(scene), 0.0);
     vec3 k = clamp(p, knee, 1.0 - 1e-6);
     if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
@@ -87,7 +90,7 @@ export class RelitPicture {
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
-    { picture, marks, outline, facts }: Person,
+    { picture, marks, outline, pale, facts }: Person,
     private readonly light: KeyLight,
   ) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true });
@@ -105,7 +108,7 @@ export class RelitPicture {
       else gl.uniform2f(place, values[0]!, values[1]!);
     };
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    ["photo", "marks", "gain", "outline"].forEach((name, unit) => {
+    ["photo", "marks", "gain", "outline", "pale"].forEach((name, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
@@ -127,13 +130,15 @@ export class RelitPicture {
     number("crop", columns * across, rows * down);
     gl.activeTexture(gl.TEXTURE3);
     gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.RGB32F : gl.RGB16F, columns, rows, 0, gl.RGB, gl.FLOAT, outline);
+    gl.activeTexture(gl.TEXTURE4);
+    gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.RGB32F : gl.RGB16F, columns, rows, 0, gl.RGB, gl.FLOAT, pale);
     this.setConstants(facts, number);
     this.paint(1, 1);
   }
 
-  draw({ gain, typical, common, edge }: Lit): void {
+  draw({ gain, hollow, typical, common, edge }: Lit): void {
     const { canvas, size } = this;
-    this.upload(this.light.grid, gain);
+    this.upload(this.light.grid, gain, hollow.after, hollow.before);
     this.gl.uniform1f(this.uniform("typical"), typical);
     this.gl.uniform1f(this.uniform("other"), 1 - common);
     this.gl.uniform3f(this.uniform("lamp"), ...edge.direction);
@@ -199,6 +204,7 @@ export class RelitPicture {
     number("grazing", facts.grazing);
     number("soon", facts.soon);
     this.gl.uniform3fv(this.uniform("lacks"), facts.lacks.flat());
+    this.gl.uniform3f(this.uniform("hue"), ...facts.hue);
     number("edgeOfWhite", facts.edge_of_white);
     number("over", facts.over);
     number("knee", facts.knee);
@@ -206,10 +212,12 @@ export class RelitPicture {
     this.gl.uniform3f(this.uniform("edit"), saturation, contrast, pivot);
   }
 
-  private upload({ width, height }: Grid, values: Float32Array): void {
+  private upload({ width, height }: Grid, ...channels: [Float32Array, Float32Array, Float32Array]): void {
     const { gl } = this;
+    const values = new Float32Array(3 * width * height);
+    channels.forEach((channel, k) => channel.forEach((value, i) => (values[3 * i + k] = value)));
     gl.activeTexture(gl.TEXTURE2);
-    gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.R32F : gl.R16F, width, height, 0, gl.RED, gl.FLOAT, values);
+    gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.RGB32F : gl.RGB16F, width, height, 0, gl.RGB, gl.FLOAT, values);
   }
 
   private uniform(name: string): WebGLUniformLocation {
