@@ -160,14 +160,17 @@ def scan_faces(
     scans: list[FaceScan] = []
     for begin in range(0, len(observations), at_once):
         some = slice(begin, begin + at_once)
-        problems = [_SunProblem.of(one, sphere) for one in observations[some]]
         if before is None:
+            problems = [_SunProblem.of(one, sphere) for one in observations[some]]
             scans += [explained.scan() for explained in _explain(problems, None)]
             continue
         rows = [scan.rows(likeliest) for scan in before[some]]
-        among = [one.among(which) for one, which in zip(problems, rows, strict=True)]
+        problems = [
+            _SunProblem.of(one, sphere, which)
+            for one, which in zip(observations[some], rows, strict=True)
+        ]
         starts = [scan.solution[which] for scan, which in zip(before[some], rows, strict=True)]
-        found = _explain(among, starts)
+        found = _explain(problems, starts)
         for scan, which, explained in zip(before[some], rows, found, strict=True):
             scans.append(explained.scan().onto(scan, which))
     return scans
@@ -191,33 +194,36 @@ class _SunProblem:
     normals: "_NormalErrors | None"
 
     @staticmethod
-    def of(observation: Observation, sphere: bool) -> "_SunProblem":
+    def of(
+        observation: Observation, sphere: bool, rows: Int[Tensor, " j"] | None = None
+    ) -> "_SunProblem":
+        """That of all directions, or of some ``rows`` of them, the last two among these."""
         root = observation.weights.double().sqrt()
         coarse = observation.on_rows(SCAN_HEIGHT)
         grid = coarse.transport.grid
-        sources = len(grid) if sphere else len(grid) // 2
-
-        def columns(transport: TransportMatrix) -> Float[Tensor, "m n"]:
-            return transport.matrix.double() * root[:, None]
+        sources = torch.arange(len(grid) if sphere else len(grid) // 2, device=root.device)
+        if rows is not None:
+            sources = sources[rows[:-2]]
 
         lamp = observation.camera_lamp
         if lamp is None:
             lamp = torch.zeros(len(root), 2).to(root)
         lamp = lamp.double() * root[:, None]
 
-        def suns(every: Float[Tensor, "m n"], group: int) -> Float[Tensor, "m n_2"]:
+        def suns(transport: TransportMatrix, group: int) -> Float[Tensor, "m n_2"]:
             """One problem for each direction, one without a sun, and one with the camera's lamp."""
-            return torch.cat([pad(every[:, :sources], (0, 1)), lamp[:, group, None]], 1)
+            some = transport.matrix[:, sources].double() * root[:, None]
+            return torch.cat([pad(some, (0, 1)), lamp[:, group, None]], 1)
 
-        diffuse = columns(coarse.transport)
         lobes = _ambient_lobes(grid).to(root)
-        groups = [suns(diffuse, 0)]
+        groups = [suns(coarse.transport, 0)]
         if coarse.specular is not None:
-            groups.append(suns(columns(coarse.specular), 1))
+            groups.append(suns(coarse.specular, 1))
         clipped = torch.zeros_like(root, dtype=torch.bool)
         if observation.clipped is not None:
             clipped = observation.clipped
-        every, ambient = torch.stack(groups), diffuse @ lobes
+        every = torch.stack(groups)
+        ambient = coarse.transport.matrix.double() @ lobes * root[:, None]
         sun_norms, ambient_norms = _norms(every), _norms(ambient)
         return _SunProblem(
             suns=every / sun_norms[:, None],
@@ -226,7 +232,7 @@ class _SunProblem:
             y=luminance(observation.pixels).double() * root,
             root=root,
             clipped=clipped,
-            normals=_NormalErrors.of(observation, diffuse, lobes, sources),
+            normals=_NormalErrors.of(observation, every[0], ambient, lobes, sources),
         )
 
     def among(self, rows: Int[Tensor, " j"]) -> "_SunProblem":
@@ -296,9 +302,10 @@ class _NormalErrors:
     @staticmethod
     def of(
         observation: Observation,
-        diffuse: Float[Tensor, "m n2"],
+        diffuse: Float[Tensor, "m n_2"],
+        shaded: Float[Tensor, "m j"],
         lobes: Float[Tensor, "n2 j"],
-        sources: int,
+        sources: Int[Tensor, " n"],
     ) -> "_NormalErrors | None":
         """None where normals are known."""
         errors = observation.normal_modes
@@ -308,8 +315,8 @@ class _NormalErrors:
         weights = observation.weights
         visible = errors.visible * weights.sqrt()[:, None]
         ambient = torch.stack([lobes.to(visible).T @ (visible * a).T for a in directions.T])
-        norms = (diffuse @ lobes).norm(dim=0).clamp(min=1e-12).to(visible)
-        suns = visible[:, :sources] / diffuse[:, :sources].norm(dim=0).clamp(min=1e-12).to(visible)
+        norms = _norms(shaded).to(visible)
+        suns = visible[:, sources] / _norms(diffuse[:, :-2]).to(visible)
         level = weights @ luminance(observation.pixels)
         towards = directions.new_tensor([[0.0, 0.0, 1.0]])  # the camera
         lamp = torch.zeros_like(weights)
@@ -319,7 +326,7 @@ class _NormalErrors:
         return _NormalErrors(
             modes=errors.modes.permute(1, 2, 0).contiguous(),
             suns=torch.cat([pad(suns, (0, 1)), lamp[:, None]], 1).T.contiguous(),
-            directions=torch.cat([directions[:sources], towards.expand(2, -1)]),
+            directions=torch.cat([directions[sources], towards.expand(2, -1)]),
             ambient=ambient / norms[:, None],
             cost=NORMAL_COST * float(level**2 / weights.sum()),
         )

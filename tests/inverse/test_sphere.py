@@ -2,13 +2,16 @@
 
 import math
 from dataclasses import replace
+from typing import Any
+from unittest.mock import patch
 
 import pytest
 import torch
 
+from skylight.inverse._descent import Iterates
 from skylight.inverse._estimate import estimate_light, light_problems
 from skylight.inverse._lamp_sets import Pursuit
-from skylight.inverse._lamps import LAMPS, Fitted, LampsProblem, as_many_as_pay
+from skylight.inverse._lamps import LAMPS, Fitted, LampFamily, LampsProblem, as_many_as_pay
 from skylight.inverse._problem import solve
 from skylight.inverse._scan import scan_faces
 from skylight.inverse._sphere import INDOORS, OPEN_SKY, _by_sky
@@ -43,6 +46,7 @@ def most_likely(evidence: tuple[float, ...], **options: float) -> tuple[int, lis
         # far less likely than without: nobody waits
         ((0.0, -9.0, 90.0, 95.0), {"least_gain": 8.0, "patience": 2}, (0, [0, 1])),
         ((0.0, 9.0, 0.0, 95.0), {"least_gain": 8.0, "patience": 2}, (1, [0, 1, 2])),
+        ((0.0, 9.0, 10.0, 95.0), {"fewest": 1}, (1, [1, 2])),
     ],
 )
 def test_lamps_pay_or_are_left_out(evidence, options, expected) -> None:
@@ -63,8 +67,8 @@ def test_the_lamp_of_a_ball_is_found_and_told_of_which_kind_the_place_is() -> No
 
 def told_by_even_light(
     *lamps: tuple[tuple[float, float, float], float],
-) -> tuple[SunPrior | None, int]:
-    """What lamps in even light tell of a ball's main light, and of how many it has."""
+) -> tuple[SunPrior | None, int, int]:
+    """What lamps in even light tell of a ball's main light, and how few and how many to try."""
     (problem,) = light_problems("sphere", device="cpu")
     assert isinstance(problem, LampsProblem)
     problem.add(lit_ball(*lamps))
@@ -73,9 +77,9 @@ def told_by_even_light(
 
 
 def test_lamps_in_even_light_tell_where_the_main_one_is() -> None:
-    told, most = told_by_even_light((ONE, 3.0), ((-0.7, 0.5, 0.6), 1.0))
+    told, fewest, most = told_by_even_light((ONE, 3.0), ((-0.7, 0.5, 0.6), 1.0))
     assert told is not None
-    assert most == 2
+    assert (fewest, most) == (1, 2)  # the second brings 20 nats
     grid = DirectionGrid.latlong(64)
     density = told.log_density(grid.directions)
     assert float(density.exp() @ grid.solid_angles) == pytest.approx(1, abs=3e-3)
@@ -83,8 +87,27 @@ def test_lamps_in_even_light_tell_where_the_main_one_is() -> None:
     assert math.degrees(float(angle_between(grid.directions[density.argmax()], lamp))) < 6
 
 
+def test_what_the_guide_rules_out_is_not_tried() -> None:
+    assert told_by_even_light((ONE, 3.0))[1:] == (1, 1)  # 137 nats, and a second one takes 7
+    tried: list[int] = []
+    (problem,) = light_problems("sphere", device="cpu")
+    assert isinstance(problem, LampsProblem)
+    fitted = problem._fitted
+
+    def counted(family: LampFamily, count: int, *rest: Any) -> Fitted[Iterates]:
+        if family is not LAMPS:
+            tried.append(count)
+        return fitted(family, count, *rest)
+
+    with patch.object(problem, "_fitted", counted):
+        problem.add(lit_ball((ONE, 3.0)))
+        (found,) = solve([problem])
+    assert tried == [1]
+    assert len(found.lamps) == 1
+
+
 def test_even_light_tells_nothing_and_leaves_the_estimate_as_it_is() -> None:
-    assert told_by_even_light() == (None, 1)
+    assert told_by_even_light() == (None, 0, 1)
     found = []
     for guide in (None, LAMPS):
         (problem,) = light_problems("sphere", device="cpu")
