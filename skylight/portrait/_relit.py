@@ -103,7 +103,8 @@ SHARED_ROWS = 16  # cells of 11 degrees: how far a lamp moves until it is anothe
 @dataclass(frozen=True, kw_only=True)
 class Gains:
     """What a picture is multiplied by, ``times`` (h,w,3), and how much of an ``edge`` (h,w) it
-    gets as far as there is room below white, None where there is none. ``factor`` is of the light, so that skin keeps its brightness.
+    gets as far as there is room below white, None where there is none. ``factor`` is of the light,
+    so that skin keeps its brightness.
     """
 
     times: Float[ndarray, "h w 3"]

@@ -129,7 +129,7 @@ _BLOCK_POINTS = 64  # whose lobes stay in a core's cache
 
 @dataclass(frozen=True, kw_only=True)
 class Shading:
-    """``diffuse`` and ``specular`` (m,3): what skin of albedo 1 sends to the camera, 0 elsewhere."""
+    """``diffuse`` and ``specular`` (m,3): what skin of albedo 1 sends to the camera; else 0."""
 
     diffuse: Float[Tensor, "m 3"]
     specular: Float[Tensor, "m 3"]

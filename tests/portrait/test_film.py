@@ -25,7 +25,7 @@ from skylight.inverse._result import Lamp
 from skylight.portrait import _film as film_module
 from skylight.portrait._film import relight_film, relit_frames
 from skylight.portrait._keys import key_light
-from skylight.portrait._moving import LIT, MovingHead
+from skylight.portrait._moving import MovingHead
 from skylight.portrait._poses import film_poses
 from skylight.portrait._relit import Gains
 from skylight.portrait._steady import SHARE, Carried
@@ -129,7 +129,7 @@ class TestAHeadThatTurns:
         head = MovingHead.of(fit, np.zeros((256, 256), np.float32), face_px=48)
         pose = turned(degrees, fit)
         person, anew = head.at(pose, np.eye(3)), PersonSurface.of(pose, face_px=48)
-        skin = np.isin(person.regions.numpy(), LIT)
+        skin = np.isin(person.regions.numpy(), SKIN)
         height = min(person.surface.layout[0], anew.surface.layout[0])
         assert height > 60
         one, other = (
@@ -138,7 +138,7 @@ class TestAHeadThatTurns:
                     torch.cat(
                         [
                             each.shade(light, SKIN_SPECULAR).diffuse[:, :1],
-                            torch.from_numpy(np.isin(each.regions.numpy(), LIT))[:, None].float(),
+                            torch.from_numpy(np.isin(each.regions.numpy(), SKIN))[:, None].float(),
                         ],
                         1,
                     )

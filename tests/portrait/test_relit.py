@@ -488,7 +488,7 @@ def test_a_highlight_goes_with_its_light_and_with_no_other() -> None:
     """A spot of white on a cheek gets darker than skin beside it does, and stays as it is lit."""
     old = hard(120.0)
     seen = image(old)
-    face = cv2.erode((person().region_image() == Region.FACE).astype(np.uint8), np.ones((3, 3)))
+    face = cv2.erode((region_image(person()) == Region.FACE).astype(np.uint8), np.ones((3, 3)))
     lit = (seen @ LUMINANCE_ > np.quantile(seen[on_skin()] @ LUMINANCE_, 0.85)) & (face > 0)
     glossy = seen.copy()
     glossy[lit] += 0.5 * glossy[lit].max(-1, keepdims=True)
