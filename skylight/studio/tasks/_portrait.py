@@ -77,7 +77,7 @@ from skylight.portrait._room import (
     OVER,
     SHORT,
 )
-from skylight.portrait._surface import scaled
+from skylight.portrait._surface import PersonSurface, scaled
 from skylight.studio.tasks._uploads import open_photo
 from skylight.work._progress import StageProgress
 from skylight.work._threads import cores
@@ -156,7 +156,9 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     ``share`` is :meth:`~skylight.portrait._gain.Surface.share` of the crop, ``outline`` how its
     outline leans (:mod:`skylight.portrait._edge`) and how far it has the colour of skin.
     """
-    surface, fill = portrait.person.surface, fill_of(portrait.found)
+    person = portrait.person
+    assert isinstance(person, PersonSurface)  # a photograph's, traced at its own pixels
+    surface, fill = person.surface, fill_of(portrait.found)
     level = brightness_of_ball(fill)
     fill_shading, fill_specular = (
         image @ LUMINANCE_WEIGHTS / np.float32(level) for image in portrait.shaded_by(fill)
@@ -190,9 +192,9 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "share": torch.from_numpy(within(portrait.on.share())),
         "outline": torch.from_numpy(within(np.dstack([portrait.leaning, portrait.colour.alike]))),
         "places": torch.from_numpy((rows - top) * width + columns - left).int(),
-        "normals": portrait.person.normals.float(),
+        "normals": person.normals.float(),
         "views": -normalize(surface.positions, dim=1).float(),
-        "visible": _bits(portrait.person.sight.visible),
+        "visible": _bits(person.sight.visible),
         "found_power": coarse_power(portrait.found).float(),
         "found_map": portrait.found.resize(min(_MAP_ROWS, portrait.found.layout[0])).radiance,
     }
