@@ -29,7 +29,7 @@ from skylight.portrait._moving import MovingHead
 from skylight.portrait._poses import film_poses
 from skylight.portrait._relit import Gains
 from skylight.portrait._steady import SHARE, Carried
-from skylight.portrait._surface import PersonSurface, softened
+from skylight.portrait._surface import SKIN, PersonSurface, softened
 from skylight.sphere._envmap import EnvironmentMap
 from tests.films import with_frame_times, write_film as write_mpeg
 from tests.sunny_face import direction, sunny_face

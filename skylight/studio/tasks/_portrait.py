@@ -78,7 +78,7 @@ from skylight.portrait._room import (
     OVER,
     SHORT,
 )
-from skylight.portrait._surface import scaled
+from skylight.portrait._surface import PersonSurface, scaled
 from skylight.studio.tasks._uploads import open_photo
 from skylight.work._progress import StageProgress
 from skylight.work._threads import cores
@@ -159,7 +159,9 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     of :class:`~skylight.portrait._gain.SkinColour`. ``hue`` and ``albedo`` are of
     :mod:`skylight.portrait._bounce`.
     """
-    person, fill = portrait.person, fill_of(portrait.found)
+    person = portrait.person
+    assert isinstance(person, PersonSurface)  # a photograph's, traced at its own pixels
+    fill = fill_of(portrait.found)
     level = brightness_of_ball(fill)
     fill_shading, fill_specular = (
         image @ LUMINANCE_WEIGHTS / np.float32(level) for image in portrait.shaded_by(fill)

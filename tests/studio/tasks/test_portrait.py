@@ -31,6 +31,7 @@ from skylight.portrait._relit import (
     portrait_of,
     shared_light,
 )
+from skylight.portrait._surface import PersonSurface
 from skylight.sphere._envmap import LUMINANCE, EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
 from skylight.studio._guard import Limits
@@ -141,6 +142,7 @@ def test_the_page_gets_points_and_bits_of_the_surface(told: Told, taken_apart: T
         image, portrait.shading[top : top + height, left : left + width], rtol=1e-5, atol=1e-6
     )
     bits = np.unpackbits(tensors["visible"].numpy(), axis=1, bitorder="little")
+    assert isinstance(portrait.person, PersonSurface)
     np.testing.assert_array_equal(bits, portrait.person.sight.visible.numpy())
     assert bits.shape[1] == len(DirectionGrid.latlong(32))
     codes = tensors["picture"][..., :3].numpy()
