@@ -10,10 +10,10 @@ A point of openness o, the share of an even light that reaches it, receives of a
 
 M being the mean of direct light over the skin in its surroundings (:data:`AROUND`). That is
 exact, all bounces included, inside an integrating sphere of that albedo, where what is hidden sees
-what is lit wherever it lies; of other hollows M is only a guess. Clothes and hair count as skin does, and the
-albedo is that of usual skin (:data:`ALBEDO`), for a photograph does not tell it from the strength
-of its light: where o is 0.7, light is by 12 % of M brighter, and would be by 3 to 22 % for the
-darkest and the palest skin.
+what is lit wherever it lies; of other hollows M is only a guess. What hides the light counts as
+skin, clothes and hair too, and the albedo is that of usual skin (:data:`ALBEDO`), for a photograph
+does not tell it from the strength of its light: where o is 0.7, light is by 12 % of M brighter, and
+would be by 3 to 22 % for the darkest and the palest skin.
 """
 
 import numpy as np
