@@ -110,17 +110,18 @@ class PosedPerson:
     turned: Float[Tensor, "3 3"]
     world_from_camera: Float[Tensor, "3 3"]
 
-    def shade(self, light: EnvironmentMap, specular: Specular) -> Shading:
+    def shade(self, light: EnvironmentMap, specular: Specular | None) -> Shading:
         """Direct light with shadows at the skin's vertices, interpolated; 0 elsewhere.
 
         ``sum_w V <n, w>+ L dw / pi``, and so with f_s for 1 / pi, that of skin.
         """
-        assert specular == SKIN_SPECULAR  # whose matrix is kept for the next light
+        assert specular in (None, SKIN_SPECULAR)  # whose matrix is kept for the next light
         radiance = softened(light, self.world_from_camera @ self.turned).flat.float()
         needed, count = self._seen, len(self.head.lit)
         sent = torch.zeros(count + 1, 6)  # the last of what is no skin
         sent[needed, :3] = self._transport @ radiance
-        sent[needed, 3:] = self._reflected @ radiance
+        if specular is not None:
+            sent[needed, 3:] = self._reflected @ radiance
         corners = self._rows[self.corners]
         shown = (sent[corners] * self.surface.barycentric[..., None].float()).sum(1)
         return Shading(diffuse=shown[:, :3], specular=shown[:, 3:])

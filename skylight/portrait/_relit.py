@@ -431,7 +431,7 @@ def upright_irradiance(light: EnvironmentMap) -> Float[Tensor, "3"]:
 def _openness(person: LitPerson) -> Float[ndarray, "p q"]:
     """How much of an even light reaches each point of skin, 0 elsewhere."""
     even = EnvironmentMap(radiance=torch.ones(SMOOTH_HEIGHT, 2 * SMOOTH_HEIGHT, 3))
-    received = person.shade(even, SKIN_SPECULAR).diffuse[:, :1]
+    received = person.shade(even, None).diffuse[:, :1]
     return float32(person.surface.image(received).numpy())[..., 0]
 
 

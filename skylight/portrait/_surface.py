@@ -145,8 +145,9 @@ class LitPerson(Protocol):
     def face_px(self) -> float: ...
     @property
     def regions(self) -> UInt8[Tensor, " m"]: ...
-    def shade(self, light: EnvironmentMap, specular: Specular) -> Shading:
-        """Direct light with shadows, of albedo 1."""
+    def shade(self, light: EnvironmentMap, specular: Specular | None) -> Shading:
+        """Direct light with shadows, of albedo 1; without ``specular``, which takes most of the
+        time, that is 0."""
         ...
 
 
@@ -223,7 +224,7 @@ class PersonSurface:
             sight=sight,
         )
 
-    def shade(self, light: EnvironmentMap, specular: Specular) -> Shading:
+    def shade(self, light: EnvironmentMap, specular: Specular | None) -> Shading:
         """Of the skin, with shadows: ``sum_w V <n, w>+ L dw / pi``, and so with f_s for 1 / pi.
 
         On the 32 rows on which sight is kept: no light is narrower than their 5.6 degrees.
@@ -235,9 +236,10 @@ class PersonSurface:
         towards = self.sight.grid.directions.float()
         for points in torch.arange(len(normals)).split(_BLOCK_POINTS):
             transport = self.sight[points]  # V <n, w>+ dw / pi
-            lobe = specular_lobe(normals[points], views[points], towards, specular)
             diffuse[self.skin[points]] = transport @ radiance
-            reflected[self.skin[points]] = (math.pi * transport * lobe) @ radiance
+            if specular is not None:
+                lobe = specular_lobe(normals[points], views[points], towards, specular)
+                reflected[self.skin[points]] = (math.pi * transport * lobe) @ radiance
         return Shading(diffuse=diffuse, specular=reflected)
 
 
