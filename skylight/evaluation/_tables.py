@@ -139,9 +139,13 @@ _RENI_ROWS: list[tuple[str, list[str]]] = [
 ]
 _RENI_COLUMNS = ["27 floats", "108 floats", "147 floats", "300 floats"]
 _RENI = "RENI++ (Gardner et al.), tone-mapped PSNR in dB on 21 held-out outdoor maps, "
-_SPHERES = ["si-RMSE diffuse", "silver", "mirror", "colour diffuse, deg", "silver", "mirror"]
+_SPHERES = [
+    *(f"si-RMSE, {material}" for material in ("diffuse", "silver", "mirror")),
+    *(f"colour, {material}, deg" for material in ("diffuse", "silver", "mirror")),
+]
 _LEVELS = ("whole_colour", "whole_level", "lower_colour", "lower_level", "log_radiance")
-# Heading, columns, rows: what others measured by the same protocol, on their own maps.
+# Heading, columns, rows: what others measured on their own maps, by a protocol that the heading
+# compares with ours.
 PEERS: dict[str, tuple[str, list[str], list[tuple[str, list[str]]]]] = {
     "sky-representations": (
         f"{_RENI}over the whole sphere and at its own resolution, hence no competitor of the "
