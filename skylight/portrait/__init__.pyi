@@ -1,6 +1,7 @@
 from ._files import (
     RelitPortrait as RelitPortrait,
     relit_portrait as relit_portrait,
+    taken_apart as taken_apart,
     write_relit as write_relit,
 )
 from ._film import (

@@ -43,10 +43,10 @@ def hollow_tint(shares: Float[ndarray, "*s"], hue: Float[ndarray, "3"]) -> Float
 
     ``ln(1 + u (h - 1))``, h being the skin's albedo in each channel over its luminance.
     """
-    return np.log1p(shares[..., None] * (np.maximum(hue, 1e-3) - 1))
+    return np.log1p(shares[..., None] * (hue - 1))
 
 
 def hue_of(colour: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
     """h of :func:`hollow_tint`, of a logarithm: its luminance is 1."""
     hue = np.exp(colour)
-    return hue / (hue @ LUMINANCE_WEIGHTS)
+    return np.maximum(hue / (hue @ LUMINANCE_WEIGHTS), 1e-3)

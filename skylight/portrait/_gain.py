@@ -183,8 +183,9 @@ class SkinColour:
     or brighter changes its colour too. ``lacks`` (n,3) are logarithms at ``n`` steps of
     :func:`~skylight.portrait._room.base_of`, from ``ln DARKEST`` to 0, of means over the face, so
     they are the same wherever skin is as bright. ``alike`` (p,q) is how far a place has the colour
-    of skin of its brightness, as a collar, lips and hair have not. ``pale`` (p,q,3), at most 0, is
-    what highlights have too much of each channel.
+    of skin of its brightness, as a collar, lips and hair have not. ``pale`` (p,q,3) is
+    what each channel of a highlight has to lose to get the colour of usual skin, a logarithm of at
+    most 0.
     """
 
     lacks: Float[ndarray, "n 3"]

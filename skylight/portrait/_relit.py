@@ -4,9 +4,10 @@ The picture is multiplied by ``exp(G)``, and never divided by anything that it w
 ln L the level of a light (:func:`~skylight.portrait._gain.level_of`) on the face, A the light found
 and B the new one ::
 
-    G = v(m + q bounded(C(ln L_B - ln L_A) + (1 - c) U - m)) + tint + s,
+    G = v(m + ln f + q bounded(C(ln L_B - ln L_A) + (1 - c) U - m)) + tint + s,
 
-m being the mean of ``ln L_B - ln L_A`` over the face, C what continues a gain beyond the face
+m being the mean of ``ln L_B - ln L_A`` over the face, f 1 or what keeps the skin's brightness, C
+what continues a gain beyond the face
 (:meth:`~skylight.portrait._gain.Surface.continued`), U what of A the picture does not show
 (:class:`~skylight.portrait._gain.Unseen`), c what the two lights share, and q below 1 where there
 are doubts. So where the light stays, the picture stays. ``tint`` is the change of the lights' mean
@@ -19,6 +20,9 @@ colour, one for all of the person, and of what its hollows send each other
 What lies behind gets one gain: the ratio of the lights' irradiances of vertical surfaces, in the
 mean over all azimuths. Between the two the matte mixes: it is how much of a pixel's light is the
 person's.
+
+Of a light, S is the diffuse shading of the person with albedo 1, and g its specular reflection
+(:class:`~skylight.portrait._surface.Shading`).
 
 All of that is done to what the camera saw: an :class:`~skylight.imaging._edits.Edit` of the
 picture is undone before and done after.
@@ -145,10 +149,11 @@ class Portrait:
     the person's, and ``leaning`` what :mod:`skylight.portrait._edge` has of its outline; ``bright``
     is the mean luminance of skin. ``skin`` (h,w) is how much of it shows skin; ``base`` (h,w),
     ``veil`` and ``white`` are of :mod:`skylight.portrait._room`. At the pixels of ``person``,
-    ``shading`` and ``specular`` (p,q,3) are S_A and g_A, and ``on`` says where they show skin and
-    any surface. ``before`` is ln L_A, ``unseen`` U, ``colour`` gives s, and ``mean`` (3,) is the
-    mean S_A of skin. ``albedo`` is that of
-    skin in luminance. ``specular_scale`` is at most that whose mean g_A over skin is
+    ``shading`` and ``specular`` (p,q,3) are S_A and g_A, and ``on`` says where they show skin.
+    ``before`` is ln L_A, ``unseen`` U, ``colour`` gives s, and ``mean`` (3,) is the mean S_A of
+    skin. ``openness`` (p,q) and ``hue`` (3,) are o and h of :mod:`skylight.portrait._bounce`, and
+    ``hollow_share`` (p,q) is how much of A's light on the face comes from the face. ``albedo`` is
+    that of skin in luminance. ``specular_scale`` is at most that whose mean g_A over skin is
     :data:`MOST_SPECULAR` of the photograph's in each channel. ``strength`` is q, and ``doubts`` say
     why it is below 1.
     """
@@ -174,7 +179,7 @@ class Portrait:
     mean: Float[ndarray, "3"]
     openness: Float[ndarray, "p q"]
     hue: Float[ndarray, "3"]
-    hollow: Float[ndarray, "p q"]
+    hollow_share: Float[ndarray, "p q"]
     before: Float[ndarray, "p q"]
     unseen: Unseen
     colour: SkinColour
@@ -268,7 +273,7 @@ class Portrait:
             mean=mean,
             openness=openness,
             hue=hue,
-            hollow=on.share_of(hollow, shading),
+            hollow_share=on.share_of(hollow, shading),
             before=before,
             unseen=hidden,
             colour=SkinColour.of(
@@ -376,7 +381,7 @@ class Portrait:
         self, shading: Float[ndarray, "p q 3"], hollow: Float[ndarray, "p q"]
     ) -> Float[ndarray, "p q 3"]:
         """What hollows change of their colour, as far as the gain is laid on."""
-        shares = self.on.share_of(hollow, shading), self.hollow
+        shares = self.on.share_of(hollow, shading), self.hollow_share
         after, before = (hollow_tint(self.on.continued(each), self.hue) for each in shares)
         return self.strength * (after - before)
 

@@ -146,8 +146,8 @@ class LitPerson(Protocol):
     @property
     def regions(self) -> UInt8[Tensor, " m"]: ...
     def shade(self, light: EnvironmentMap, specular: Specular | None) -> Shading:
-        """Direct light with shadows, of albedo 1; without ``specular``, which takes most of the
-        time, that is 0."""
+        """Direct light with shadows, of albedo 1. Where ``specular`` is None its part is 0, which
+        saves most of the time."""
         ...
 
 
@@ -162,9 +162,9 @@ class PersonSurface:
     """The surface at the pixels of ``camera``, whose face is ``face_px`` high.
 
     ``regions`` (m,) are values of :class:`~skylight.faces._model.Region`, :data:`HAIR` or
-    :data:`BUST`. Light is traced to its k points of :data:`SKIN`, whose numbers are ``skin``, a
-    tenth of those of a usual portrait: ``normals``, as an estimate has turned them, and ``sight``
-    are theirs.
+    :data:`BUST`. Light is traced to its k points of :data:`SKIN` alone, a tenth of all in a usual
+    portrait: ``skin`` (k,) are their indices, and ``normals``, as an estimate has turned them, and
+    ``sight`` are theirs.
     """
 
     surface: GBuffer

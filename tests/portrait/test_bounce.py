@@ -1,10 +1,14 @@
 """Light that a face sends into its own hollows."""
 
+from dataclasses import replace
+
 import numpy as np
+import torch
 
 from skylight.portrait._bounce import ALBEDO, bounced, hollow_tint, hue_of
 from skylight.portrait._gain import LUMINANCE_WEIGHTS
 from tests.portrait.test_relit import even, image, on_skin, portrait, sunny
+from tests.sunny_face import direction
 
 
 def test_a_hollow_is_as_bright_as_an_integrating_sphere() -> None:
@@ -51,3 +55,14 @@ def test_eye_sockets_are_hollow_and_redder_and_brighter_from_above() -> None:
     assert share.min() >= 0
     assert share.max() < 0.7
     assert (one.openness[inner] < 1.01).all()
+
+    def red(of: np.ndarray) -> np.ndarray:
+        return np.log(of[..., 0] / of[..., 2])
+
+    lamp = even(0.01).with_light(direction(0.0, 30.0), torch.ones(3))  # and nearly nothing else
+    relit = one.gains(lamp).times
+    grey_skin = replace(one, hue=np.ones_like(one.hue)).gains(lamp).times
+    redder = red(relit) - red(grey_skin)
+    assert redder[dark].mean() > max(0.02, 2 * redder[inner].mean())
+    isolated = replace(one, openness=np.ones_like(one.openness)).gains(lamp).times
+    assert relit[dark].mean() / isolated[dark].mean() > 1.05

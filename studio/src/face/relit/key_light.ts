@@ -106,7 +106,7 @@ export class KeyLight {
   /** How many pixels of a cell are the face's; and how much of the cell is, with a soft border. */
   private readonly face: Float32Array;
   private readonly share: Float32Array;
-  /** Of the light found. */
+  /** Of the light found, `hollow` continued beyond the face. */
   private readonly before: Level;
 
   constructor(private readonly person: Person) {
@@ -128,7 +128,8 @@ export class KeyLight {
     person.share.forEach((share, at) => {
       this.share[(Math.floor(at / width) >> 1) * grid.width + ((at % width) >> 1)]! += share / pixels;
     });
-    this.before = this.levelOf(luminances(shading), luminances(glossy));
+    const { level, hollow } = this.levelOf(luminances(shading), luminances(glossy));
+    this.before = { level, hollow: this.continued(hollow) };
   }
 
   /** `sum_w g(w) V(w) <n, w>+ dw / pi` at each point, and as much of the gloss; two numbers a point. */
@@ -201,7 +202,7 @@ export class KeyLight {
     });
     return {
       gain: this.continued(level),
-      hollow: { after: this.continued(after.hollow), before: this.continued(this.before.hollow) },
+      hollow: { after: this.continued(after.hollow), before: this.before.hollow },
       typical: sum / total,
       common: this.common(from, dimmed, before, behind),
       edge: { direction: towards, strength: (behind * strength) / (1 + strength * metered), spreadRad: from.spreadRad },
