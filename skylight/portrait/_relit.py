@@ -91,7 +91,7 @@ from skylight.work._progress import Progress
 # Of what the skin shows in any channel. Estimates take too much for specular reflection, most of
 # all of over-exposed skin; of the darkest skin a correct specular scale is cut too.
 MOST_SPECULAR = 0.4
-FRONT = (Region.FACE, Region.LIPS, Region.BROW)  # where the model fits
+FRONT = (Region.FACE, Region.LIPS, Region.BROW, Region.SCALP)  # where the model fits
 # Of the old picture: nothing more than is no light, the skin's brightness, or all of the place but
 # where its light comes from.
 Keep = Literal["nothing", "brightness", "place"]
@@ -221,6 +221,7 @@ class Portrait:
             bare=float32(on_skin),
             face=float32(front if front.any() else on_skin),
             traced=float32(np.isin(regions, SKIN)),
+            covered=float32(regions >= 0),
             face_px=person.face_px,
         )
         mean, shine, shown = (on.mean(each) for each in (shading, specular, small))

@@ -122,7 +122,8 @@ class PersonMesh:
 
 FACE_PX = 96  # height of the face's skin where shading is computed; photographs are not enlarged
 HAIR, BUST = 254, 255  # among the regions
-SKIN = (Region.FACE, Region.LIPS, Region.EAR, Region.NECK, Region.BROW)
+# Scalp is skin where no hair covers it: bald heads, and foreheads higher than the model's
+SKIN = (Region.FACE, Region.LIPS, Region.BROW, Region.SCALP, Region.EAR, Region.NECK)
 FINE_ROWS = 128  # of the grid of bright pixels: cells of 1.4 degrees
 _BLOCK_POINTS = 64  # whose lobes stay in a core's cache
 
@@ -162,7 +163,7 @@ class PersonSurface:
     """The surface at the pixels of ``camera``, whose face is ``face_px`` high.
 
     ``regions`` (m,) are values of :class:`~skylight.faces._model.Region`, :data:`HAIR` or
-    :data:`BUST`. Light is traced to its k points of :data:`SKIN` alone, a tenth of all in a usual
+    :data:`BUST`. Light is traced to its k points of :data:`SKIN` alone, a fifth of all in a usual
     portrait: ``skin`` (k,) are their indices, and ``normals``, as an estimate has turned them, and
     ``sight`` are theirs.
     """
