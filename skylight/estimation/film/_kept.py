@@ -1,6 +1,7 @@
 """What of a film's light portraits are relit by, kept beside its results."""
 
 import json
+import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -35,7 +36,8 @@ class KeptFilm:
     units, as ``white_balance`` shows them; that, ``edit`` and ``specular_scale`` are medians over
     keyframes. ``poses`` are in pictures of ``size`` (width, height), of which the keyframes are
     numbers ``frames`` (K,) at ``times_s``, with the landmarks ``points`` and the camera turned by
-    ``world_from_camera``. What lies outside ``shot`` (begin and end in seconds) shows other shots.
+    ``world_from_camera``. What lies before ``shot`` (begin and end in
+    seconds) may show another one, and what begins at its end does; that of the last is infinite.
     """
 
     environment: EnvironmentMap
@@ -91,7 +93,7 @@ class KeptFilm:
             times_s=np.array([one.time_s for one in result.keyframes]),
             points=np.array([one.mean(0) for one in readings if one is not None]),
             world_from_camera=np.array(result.world_from_camera),
-            shot=(shot.begin_s, shot.end_s),
+            shot=(shot.begin_s, shot.until_s),
             face=face,
             verdict=start.verdict.summary,
             advice=result.advice,
@@ -149,7 +151,7 @@ def write_film(folder: Path, film: KeptFilm) -> None:
         "edit": asdict(film.edit),
         "specular_scale": film.specular_scale,
         "size": film.size,
-        "shot": film.shot,
+        "shot": [None if math.isinf(time_s) else time_s for time_s in film.shot],
         "face": film.face,
         "verdict": film.verdict,
         "advice": film.advice,
@@ -208,7 +210,7 @@ def read_film(folder: Path) -> KeptFilm:
             times_s=tensors["times_s"].numpy(),
             points=tensors["points"].numpy(),
             world_from_camera=tensors["world_from_camera"].numpy(),
-            shot=(begin_s, end_s),
+            shot=(begin_s, math.inf if end_s is None else end_s),
             advice=tuple(facts["advice"]),
             file=Path(facts["film"]),
             **{
