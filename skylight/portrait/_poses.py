@@ -3,10 +3,11 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
@@ -36,11 +37,13 @@ class Poses:
 
     ``states`` are the head's, and ``turns`` (n,3,3) the camera's, world from camera; ``shares``
     (n,) are how much of a new light the frame gets: 1, but less where no face was seen for long.
-    ``gaps`` are times in which there was none.
+    Where the face was ``seen`` (n,) states are not only interpolated; ``gaps`` are times in which
+    it was not, and so long that the light fades.
     """
 
     numbers: Int[ndarray, " n"]
     times_s: Float[ndarray, " n"]
+    seen: Bool[ndarray, " n"]
     states: tuple[FitState, ...]
     turns: Float[ndarray, "n 3 3"]
     shares: Float[ndarray, " n"]
@@ -71,10 +74,11 @@ def film_poses(film: KeptFilm, progress: Progress | None = None) -> Poses:
     return Poses(
         numbers=numbers,
         times_s=times_s,
+        seen=seen,
         states=_smooth(states, times_s[seen], times_s),
         turns=_between(film.times_s, film.world_from_camera, times_s).as_matrix(),
         shares=shares,
-        gaps=tuple(_gaps(times_s, shares)),
+        gaps=tuple(_gaps(times_s, seen, shares)),
     )
 
 
@@ -138,7 +142,10 @@ def _followed(film: KeptFilm, progress: Progress | None) -> Iterator[_Frame]:
             state = film.poses[k]
             yield _Frame(frame.number, frame.time_s, state, alike)
             continue
-        points = one.look(frame)
+        try:
+            points = one.look(frame)
+        except InputError:  # fewer faces than the one that is followed, before it is seen
+            points = None
         next_state = None if points is None else followed_pose(heads, state, points, film.size)
         state = next_state or state
         yield _Frame(frame.number, frame.time_s, next_state, alike)
@@ -190,14 +197,11 @@ def _between(
 
 
 def _gaps(
-    times_s: Float[ndarray, " n"], shares: Float[ndarray, " n"]
+    times_s: Float[ndarray, " n"], seen: Bool[ndarray, " n"], shares: Float[ndarray, " n"]
 ) -> Iterator[tuple[float, float]]:
-    begin = math.nan
-    for time_s, share in zip(times_s, shares, strict=True):
-        if share < 1 and math.isnan(begin):
-            begin = time_s
-        elif share == 1 and not math.isnan(begin):
-            yield float(begin), float(time_s)
-            begin = math.nan
-    if not math.isnan(begin):
-        yield float(begin), float(times_s[-1])
+    """From the first frame without the face to the next with it, or the last."""
+    begins = np.flatnonzero(~seen & np.r_[True, seen[:-1]])
+    ends = np.flatnonzero(seen & np.r_[False, ~seen[:-1]])
+    for begin, end in zip_longest(begins, ends, fillvalue=len(seen)):
+        if shares[begin:end].min() < 1:
+            yield float(times_s[begin]), float(times_s[min(end, len(seen) - 1)])

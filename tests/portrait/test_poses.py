@@ -73,3 +73,14 @@ def test_of_ten_minutes_at_240_a_second_little_memory_is_needed() -> None:
     """Of all pairs it were 83 GB."""
     times_s = np.arange(144_000) / 240
     assert apart(times_s, times_s[::2]).max() == pytest.approx(1 / 240)
+
+
+def test_before_the_second_face_is_seen_there_is_none(tmp_path: Path) -> None:
+    film = replace(
+        kept(written(tmp_path / "film.mkv", frames(2))),
+        frames=np.array([1]),
+        times_s=np.array([1 / 25]),
+        face=2,
+        shot=(0.0, math.inf),
+    )
+    assert film_poses(film).seen.tolist() == [False, True]

@@ -26,6 +26,7 @@ from skylight.transport._cameras import Camera
 
 KEPT_FILM = "film.safetensors"
 _OF_FITS = ("rotation", "translation", "expression")
+_OF_FRAMES = ("frames", "times_s", "points", "world_from_camera")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +66,15 @@ class KeptFilm:
         light, start = result.light, result.light.start
         edits = [frame.edit for frame in light.frames]
         shot = result.followed.shot
-        readings = [one.face.readings for one in result.keyframes]
+        points = []
+        for one in result.keyframes:
+            assert one.face.readings is not None  # MediaPipe's
+            points.append(one.face.readings.mean(0))
         return KeptFilm(
             environment=light.mean.environment,
-            white_balance=torch.stack([frame.white_balance for frame in light.frames])
-            .median(0)
-            .values,
+            white_balance=torch.stack([frame.white_balance for frame in light.frames]).quantile(
+                0.5, dim=0
+            ),
             lamps=light.mean.lamps,
             edit=Edit(
                 saturation=float(np.median([edit.saturation for edit in edits])),
@@ -91,7 +95,7 @@ class KeptFilm:
             size=result.followed.size,
             frames=np.array([one.number for one in result.keyframes]),
             times_s=np.array([one.time_s for one in result.keyframes]),
-            points=np.array([one.mean(0) for one in readings if one is not None]),
+            points=np.array(points),
             world_from_camera=np.array(result.world_from_camera),
             shot=(shot.begin_s, shot.until_s),
             face=face,
@@ -130,10 +134,7 @@ def write_film(folder: Path, film: KeptFilm) -> None:
         name: torch.from_numpy(np.array([getattr(pose, name) for pose in film.poses]))
         for name in _OF_FITS
     }
-    tensors |= {
-        name: torch.from_numpy(getattr(film, name))
-        for name in ("frames", "times_s", "points", "world_from_camera")
-    }
+    tensors |= {name: torch.from_numpy(getattr(film, name)) for name in _OF_FRAMES}
     tensors |= {
         "identity": torch.from_numpy(film.poses[0].identity),
         "environment": film.environment.radiance,
@@ -181,6 +182,9 @@ def read_film(folder: Path) -> KeptFilm:
     try:
         tensors, metadata = read_tensors(path)
         facts = json.loads(metadata["facts"])
+        counts = {name: len(tensors[name]) for name in (*_OF_FITS, *_OF_FRAMES)}
+        if len(set(counts.values())) > 1:
+            raise ValueError(f"not of as many keyframes: {counts}")
         poses = tuple(
             FitState(
                 log_focal=facts["log_focal"],
