@@ -1,13 +1,13 @@
 """How steady a relit film is, beside its frames relit each by itself.
 
-    python -m tools.measure_relit_films --frames 8 --folder runs/relit_films
+    python -m tools.measure_relit_films --frames 6
 
 A photograph (scikit-image's astronaut) is moved by known warps, each frame with noise of its own
 and codes of 8 bits. The film is relit by the film's light, and every frame as a photograph. As the
 warps are known, so is what of a frame's change is the film's own. What is left (:func:`changes`) is
 told as ``..._change``, the mean over blocks of the person, which noise and the resampling of edges
 are a part of, and as ``..._flicker``, that of the mean over the whole face: means over pairs of
-frames. Goes on where it was stopped.
+frames. Goes on where it was stopped, at the same commit.
 """
 
 import argparse
@@ -28,6 +28,7 @@ from skylight.estimation._photos import estimate_photo
 from skylight.estimation._settings import EstimateSettings
 from skylight.estimation.film._estimate import FilmSettings
 from skylight.estimation.film._results import relightable
+from skylight.evaluation._main import commit
 from skylight.imaging._film import film_frames
 from skylight.imaging._film_writer import written_film
 from skylight.imaging._photo import read_codes
@@ -37,6 +38,7 @@ from skylight.portrait._files import relit_portrait, shown
 from skylight.portrait._film import relight_film
 from skylight.portrait._keys import key_light
 from skylight.work._progress import silent
+from skylight.work._resumable import SETTINGS, keep_settings
 from tools.measured import write_measured
 
 RATE, NOISE = 25.0, 1.5  # frames a second; codes, standard deviation
@@ -58,6 +60,7 @@ def main() -> None:
     begun, folder = time.time(), arguments.folder
     folder.mkdir(parents=True, exist_ok=True)
     film = folder / "film.mkv"
+    keep_settings(folder / SETTINGS, {"frames": arguments.frames, "commit": commit()})
     if not film.exists():  # files of the same frames differ
         write_moved(film, astronaut(), arguments.frames)
     kept = relightable(

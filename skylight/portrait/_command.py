@@ -296,9 +296,11 @@ def _relight_film(wanted: _Wanted, *, is_estimate: bool) -> None:
     from skylight.estimation.film._kept import read_film
     from skylight.estimation.film._results import relightable
     from skylight.imaging._film import require_film
+    from skylight.imaging._film_writer import CODES
     from skylight.portrait._film import relight_film
 
-    wanted = replace(wanted, suffixes=(".mp4", ".mkv"))
+    usual, lossless = CODES
+    wanted = replace(wanted, suffixes=(usual, lossless))
     film, folder, kept = wanted.photo, wanted.photo, None
     if is_estimate:
         wanted.refuse_settings()

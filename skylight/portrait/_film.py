@@ -23,8 +23,9 @@ from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel
 from skylight.faces._observe import hair_of
 from skylight.imaging._film import FilmFrame, film_frames, film_rate
-from skylight.imaging._film_writer import WriteFrame, written_film
+from skylight.imaging._film_writer import WriteFrame, check_film_name, written_film
 from skylight.imaging._photo import Photo, photo_from_codes
+from skylight.io._atomic import require_place
 from skylight.portrait._edge import EdgeLight
 from skylight.portrait._files import RelitPortrait, shown
 from skylight.portrait._lights import NewLight
@@ -76,10 +77,13 @@ def relight_film(
     Raises
     ------
     InputError
-        As :func:`~skylight.portrait._poses.film_poses`.
+        As :func:`~skylight.portrait._poses.film_poses`, or a film is named otherwise.
     OutputError
         A film cannot be written there; none of them is left half written.
     """
+    for path in lights:
+        check_film_name(path)
+        require_place(path)
     poses = film_poses(film, lambda share: progress("following the head", share))
     rate = film_rate(film.file)
     writes: dict[Path, WriteFrame] = {}
@@ -101,7 +105,7 @@ def relight_film(
         if last is not None:
             _write(writes, last)
     notes = [*film.advice, film.warning]
-    notes += [f"no face from {a:.1f} to {b:.1f} s: shown as it was" for a, b in poses.gaps]
+    notes += [f"no face from {a:.1f} to {b:.1f} s: relit less" for a, b in poses.gaps]
     return tuple(dict.fromkeys(note for note in notes if note))
 
 
@@ -165,18 +169,17 @@ class _Relighter:
     def _prepare(self, workers: int | None, progress: StageProgress) -> None:
         """Trace the head where it is seen best; find what all frames have in common."""
         heads, film, poses = HeadModel.load(), self.film, self.poses
-        usable = np.flatnonzero(poses.shares == 1)
+        usable = np.flatnonzero(poses.seen)
         chosen = usable[np.linspace(0, len(usable) - 1, HELD_FRAMES).round().astype(int)]
-        angles = [film.fit(poses.states[n]).facing_angle_rad for n in chosen]
-        best = int(chosen[int(np.argmin(angles))])
         wanted = {int(poses.numbers[n]): int(n) for n in chosen}
         seen = {
             wanted[frame.number]: photo
             for frame in film_frames(film.file)
             if frame.number in wanted and (photo := self._photo(frame)) is not None
         }
-        if best not in seen:
+        if not seen:
             raise InputError(f"{film.file}: black where the face was; estimate the film again")
+        best = min(seen, key=lambda n: film.fit(poses.states[n]).facing_angle_rad)
         fit = self._fit(best, seen[best])
         self.head = MovingHead.of(
             fit,
@@ -248,7 +251,7 @@ class _Relighter:
         self.before, self.matte, self.hair, self.portrait = {}, None, None, None
 
     def gains(self, frame: FilmFrame, n: int) -> Mapping[Path, Gains]:
-        """Of a frame in each light, none where it is black."""
+        """Of a frame in each light, none where it is black or shows no skin."""
         photo = self._photo(frame)
         if photo is None:
             self.cut()
@@ -257,6 +260,7 @@ class _Relighter:
         matte = None if self.matte is None else self.carried.moved(self.matte)
         self.portrait = self._taken_apart(photo, n, matte)
         if self.portrait is None:
+            self.cut()
             return {}
         for path in self.lights:
             now = self._own(path, self.portrait, self.poses.turns[n])
@@ -269,11 +273,11 @@ class _Relighter:
     def codes(
         self, frame: FilmFrame, gains: Gains | None, exposure: float
     ) -> UInt8[ndarray, "h w 3"]:
-        """What is shown of a frame with those gains; None leaves it as it was."""
+        """What is shown of a frame with those gains, in sRGB; None leaves it as it was."""
         portrait = self.portrait
         if gains is None or portrait is None:
             photo = self._photo(frame)
-            if photo is None or exposure == 1:
+            if photo is None or (exposure == 1 and self.film.decode is None):
                 return frame.codes
             pixels, white = photo.pixels.numpy(), white_of(photo)
             return _shown(pixels, exposure * pixels, white)

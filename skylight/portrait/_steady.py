@@ -19,7 +19,7 @@ from numpy import ndarray
 from skylight.portrait._gain import float32, resized
 from skylight.portrait._relit import Gains
 
-SHARE = 0.75  # s: of the mean, three frames old
+SHARE = 0.75  # s: of what is carried, whose mean age is s / (1 - s) = 3 frames
 UNLIKE = 8.0  # codes, of their mean over a few pixels: where frames that differ so do not agree
 LONG_SIDE_PX = 640  # at which motion is found
 _ABOUT = 5  # pixels there

@@ -4,8 +4,8 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,28 +13,28 @@ import pytest
 import torch
 
 from skylight.cli import main
-from skylight.errors import InputError
-from skylight.estimation.film._kept import KEPT_FILM, KeptFilm, read_film, write_film
-from skylight.faces._fit import FaceFit, FitState
-from skylight.faces._mediapipe import MediaPipeLandmarker
+from skylight.errors import InputError, OutputError
+from skylight.estimation.film._estimate import FilmSettings
+from skylight.estimation.film._kept import KEPT_FILM, read_film, write_film
+from skylight.faces._fit import FaceFit
 from skylight.faces._observe import SKIN_SPECULAR
-from skylight.imaging._edits import Edit
 from skylight.imaging._film import film_frames
 from skylight.imaging._film_writer import written_film
-from skylight.inverse._result import Lamp
+from skylight.io._tensors import read_tensors, write_tensors
 from skylight.portrait import _film as film_module
 from skylight.portrait._film import relight_film, relit_frames
 from skylight.portrait._keys import key_light
 from skylight.portrait._moving import MovingHead
 from skylight.portrait._poses import film_poses
-from skylight.portrait._relit import Gains
+from skylight.portrait._relit import Gains, Held, Portrait
 from skylight.portrait._steady import SHARE, Carried
 from skylight.portrait._surface import SKIN, PersonSurface, softened
 from skylight.sphere._envmap import EnvironmentMap
+from skylight.work._resumable import SETTINGS, keep_settings
+from tests.filmed import FILM, frames, kept, moved, shift, written
 from tests.films import with_frame_times, write_film as write_mpeg
 from tests.sunny_face import direction, sunny_face
 
-FILM = Path("film.mkv")
 LEFT = Path("left.mkv")
 
 
@@ -46,74 +46,6 @@ def turned(degrees: float, fit: FaceFit) -> FaceFit:
     )
     away = fit.vertices - fit.translation
     return replace(fit, rotation=turn @ fit.rotation, vertices=away @ turn.T + fit.translation)
-
-
-def kept(file: Path = FILM) -> KeptFilm:
-    """The film of the face in the sun, whose light and head are known, from its first frame."""
-    face = sunny_face(40.0, 50.0)
-    fit = face.truth
-    return KeptFilm(
-        environment=face.environment,
-        white_balance=torch.ones(3),
-        lamps=(Lamp(direction=direction(40.0, 50.0), irradiance=torch.ones(3), spread_rad=0.02),),
-        edit=Edit(),
-        specular_scale=0.5,
-        poses=(
-            FitState(
-                rotation=fit.rotation,
-                translation=fit.translation,
-                log_focal=float(np.log(fit.camera.focal_px)),
-                identity=fit.identity,
-                expression=fit.expression,
-            ),
-        ),
-        size=(256, 256),
-        frames=np.array([0]),
-        times_s=np.array([0.0]),
-        points=landmarks()[None],
-        world_from_camera=np.eye(3)[None],
-        shot=(0.0, 100.0),
-        face=1,
-        verdict="direction good",
-        advice=("taken to stand still",),
-        warning="",
-        file=file,
-        decode=None,
-    )
-
-
-@cache
-def landmarks() -> np.ndarray:
-    (face,) = MediaPipeLandmarker().faces(sunny_face(40.0, 50.0).encoded)
-    return face.points
-
-
-def shift(k: int) -> np.ndarray:
-    """By which frame k is moved: whole pixels, so that the truth is known exactly."""
-    return np.array([(0, 0), (2, 1), (4, 1), (5, 3), (4, 4), (2, 3), (1, 1)][k % 7])
-
-
-def moved(picture: np.ndarray, by: np.ndarray) -> np.ndarray:
-    return np.roll(picture, (int(by[1]), int(by[0])), (0, 1))
-
-
-def frames(count: int) -> list[np.ndarray]:
-    """The face moved about, with noise of its own in every frame."""
-    rng, codes = np.random.default_rng(0), sunny_face(40.0, 50.0).encoded
-    return [
-        np.clip(moved(codes, shift(k)) + rng.normal(0, 2, codes.shape), 0, 255)
-        .round()
-        .astype(np.uint8)
-        for k in range(count)
-    ]
-
-
-def written(path: Path, pictures: Sequence[np.ndarray], rate: float = 25.0) -> Path:
-    height, width = pictures[0].shape[:2]
-    with written_film(path, rate, (width, height)) as write:
-        for picture in pictures:
-            write(picture)
-    return path
 
 
 class TestAHeadThatTurns:
@@ -273,7 +205,7 @@ class TestARelitFilm:
         assert np.abs(after[1].astype(int) - pictures[1]).mean() > 3
         for k in range(5, 9):  # 0.75 s after it was seen last
             np.testing.assert_array_equal(after[k], pictures[k])
-        assert any("no face from" in note for note in notes)
+        assert "no face from 0.4 to 1.6 s: relit less" in notes
         assert "taken to stand still" in notes
 
     def test_frames_are_shown_at_their_times(self, tmp_path: Path) -> None:
@@ -293,6 +225,59 @@ class TestARelitFilm:
             if np.abs(after[k].codes.astype(int) - after[k - 1].codes).mean() > 0.5
         ]
         assert changed == pytest.approx(times[1:], abs=0.5 / rate + 1e-6)
+
+    def test_frames_as_they_were_are_srgb_as_all_others(self, tmp_path: Path) -> None:
+        """Of a film whose codes are proportional to light."""
+        empty = np.full((256, 256, 3), 90, np.uint8)
+        path = written(tmp_path / "film.mkv", [*frames(1), empty, empty], rate=1.0)
+        film = replace(kept(path), decode="linear")
+        *_, last = relit_frames(film, film_poses(film), {LEFT: key_light(film, "left")}, workers=1)
+        assert not last.is_relit
+        expected = 255 * (1.055 * (90 / 255) ** (1 / 2.4) - 0.055)
+        np.testing.assert_allclose(last.codes[LEFT], expected, atol=0.6)
+
+    def test_what_is_carried_ends_where_no_skin_is_seen(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Gains of two frames before lie where the picture was then."""
+        film = kept(written(tmp_path / "film.mkv", frames(3)))
+        made, calls, carried = Portrait.of, 0, []
+
+        def of(*given: Any, **options: Any) -> Portrait:
+            nonlocal calls
+            calls += 1
+            if calls == 5:  # three looks for what frames share, and the second frame
+                raise InputError("no skin")
+            return made(*given, **options)
+
+        monkeypatch.setattr(Portrait, "of", staticmethod(of))
+        monkeypatch.setattr(Carried, "mean", lambda _, before, now: carried.append(before) or now)
+        light = {LEFT: key_light(film, "left")}
+        done = [one.is_relit for one in relit_frames(film, film_poses(film), light, workers=1)]
+        assert done == [True, False, True]
+        assert carried == []
+
+    def test_what_frames_share_is_of_those_with_the_face(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        empty = np.full((256, 256, 3), 90, np.uint8)
+        film = kept(written(tmp_path / "film.mkv", [*frames(2), empty, empty]))
+        poses, held, of = film_poses(film), [], Held.of
+        assert poses.seen.tolist() == [True, True, False, False]
+        assert poses.shares.min() == 1
+        monkeypatch.setattr(Held, "of", staticmethod(lambda some: held.extend(some) or of(some)))
+        next(relit_frames(film, poses, {LEFT: key_light(film, "left")}, workers=1))
+        assert len(held) == 2
+
+    def test_the_head_is_traced_in_a_frame_that_is_not_black(self, tmp_path: Path) -> None:
+        """Though the head of another faces the camera more."""
+        black = np.zeros((256, 256, 3), np.uint8)
+        film = kept(written(tmp_path / "film.mkv", [*frames(1), black]))
+        poses, fit = film_poses(film), sunny_face(40.0, 50.0).truth
+        aside = replace(film.poses[0], rotation=turned(20.0, fit).rotation)
+        both = replace(poses, seen=np.array([True, True]), states=(aside, film.poses[0]))
+        light = {LEFT: key_light(film, "left")}
+        assert [one.is_relit for one in relit_frames(film, both, light, workers=1)] == [True, False]
 
     def test_what_is_kept_is_what_was_there(self, tmp_path: Path) -> None:
         written(tmp_path / "film.mkv", frames(1))
@@ -386,11 +371,61 @@ class TestWhatIsWrong:
         assert out.read_bytes() == b"an earlier one"
         assert {path.name for path in tmp_path.iterdir()} == {"film.mkv", "light", "left.mp4"}
 
+    def test_the_light_beside_it_is_of_other_options(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        written(FILM, frames(1))
+        folder = Path("film_light")
+        folder.mkdir()
+        write_film(folder, kept(FILM))
+        keep_settings(folder / SETTINGS, FilmSettings().facts(FILM))
+        line = refused(capsys, "film.mkv", "--key", "left", "--face", "2")
+        assert "film_light in the film's place" in line
+        assert "--out" in line
+
+    def test_a_kept_film_whose_parts_do_not_agree(self, tmp_path: Path) -> None:
+        write_film(tmp_path, kept(written(tmp_path / "film.mkv", frames(1))))
+        tensors, metadata = read_tensors(tmp_path / KEPT_FILM)
+        more = tensors | {"points": tensors["points"][[0, 0]]}
+        write_tensors(tmp_path / KEPT_FILM, more, metadata)
+        with pytest.raises(InputError, match=r"damaged .*as many keyframes"):
+            read_film(tmp_path)
+
+    def test_where_it_cannot_be_written_is_known_before_any_work(self, tmp_path: Path) -> None:
+        gone = kept(tmp_path / "gone.mkv")
+        light = key_light(gone, "left")
+        with pytest.raises(InputError, match="films are written as"):
+            relight_film(gone, {tmp_path / "left.avi": light})
+        with pytest.raises(OutputError, match="no such folder"):
+            relight_film(gone, {tmp_path / "none" / "left.mp4": light})
+
     def test_the_person_is_not_there_any_more(self, tmp_path: Path) -> None:
         film = kept(written(tmp_path / "film.mkv", [np.full((256, 256, 3), 90, np.uint8)] * 3))
         late = replace(film, frames=np.array([99]), times_s=np.array([0.0]))
         with pytest.raises(InputError, match="not found in it again"):
             film_poses(late)
+
+
+def test_a_film_that_cannot_be_read_any_more_is_no_failure_of_writing(tmp_path: Path) -> None:
+    with (
+        pytest.raises(OSError, match="the disk with the other film"),
+        written_film(tmp_path / "film.mkv", 25.0, (64, 64)),
+    ):
+        raise OSError(5, "the disk with the other film")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("size", [(65, 49), (64, 49), (65, 48), (64, 48)])
+def test_odd_sizes_are_made_even_by_what_is_at_their_border(
+    size: tuple[int, int], tmp_path: Path
+) -> None:
+    width, height = size
+    codes = np.random.default_rng(0).integers(0, 255, (height, width, 3)).astype(np.uint8)
+    written(tmp_path / "film.mkv", [codes])
+    (frame,) = film_frames(tmp_path / "film.mkv")
+    expected = np.pad(codes, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    np.testing.assert_array_equal(frame.codes, expected)
 
 
 FULL = """

@@ -6,6 +6,7 @@ however long the film is, and no more than they are held in memory.
 """
 
 import json
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,7 +33,7 @@ _FACTS = "facts"
 LONGEST_S = 600.0
 _GAP_S = 0.5  # shorter ones are not told
 # A cut: the small picture is unlike the one before, and few corners are found again.
-_ALIKE, _LEAST_KEPT = 0.6, 0.25
+ALIKE, _LEAST_KEPT = 0.6, 0.25
 _THUMBNAIL = (48, 32)
 # Of the face's height and width: hair above and beside it, shoulders below.
 _ABOVE, _BESIDE, _SHOULDERS = 0.5, 0.25, 1.1
@@ -52,12 +53,15 @@ class Keyframe:
 class Shot:
     """Frames between cuts. ``links`` begin at frame ``first``; ``gaps`` are times without a face.
 
-    ``seen_s`` is how long the face was followed.
+    ``seen_s`` is how long the face was followed. ``end_s`` is the last of its frames that was
+    looked at, and ``until_s`` the next shot's first: the cut lies after the one, and not after the
+    other. Of the last shot it is infinite.
     """
 
     first: int
     begin_s: float
     end_s: float
+    until_s: float = math.inf
     seen_s: float = 0.0
     keyframes: list[Keyframe] = field(default_factory=list)
     links: list[Link] = field(default_factory=list)
@@ -147,7 +151,7 @@ class _Following:
         self.stride_count = 0
         self.stride = 1
         self.anchor = frame.number
-        self.thumbnail = _thumbnail(frame.codes)
+        self.thumbnail = thumbnail(frame.codes)
         self._look(source)
         self.corners.anchor(frame.codes, self._background())
 
@@ -160,10 +164,11 @@ class _Following:
                 f"{self.name}, frame {frame.number + 1}: {width}x{height} pixels, but the first "
                 f"has {was_width}x{was_height}; give frames of one film"
             )
-        before, self.thumbnail = self.thumbnail, _thumbnail(frame.codes)
+        before, self.thumbnail = self.thumbnail, thumbnail(frame.codes)
         kept = self.corners.follow(frame.codes, self._background())
-        if float((before * self.thumbnail).mean()) < _ALIKE and kept < _LEAST_KEPT:
+        if float((before * self.thumbnail).mean()) < ALIKE and kept < _LEAST_KEPT:
             self.cuts.append(frame.time_s)
+            self.shot.until_s = frame.time_s
             self._close()
             self._begin(source)
             return
@@ -278,7 +283,7 @@ def _face(reading: Reading) -> DetectedFace:
     )
 
 
-def _thumbnail(codes: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "a b"]:
+def thumbnail(codes: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "a b"]:
     """Small and grey, of mean 0 and variance 1: the mean product of two is their correlation."""
     small = cv2.resize(codes, _THUMBNAIL, interpolation=cv2.INTER_AREA)
     grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float64)
@@ -305,6 +310,7 @@ def write_followed(folder: Path, followed: Followed) -> None:
         "end_s": followed.end_s,
         "notes": followed.notes,
         "shot": [shot.first, shot.begin_s, shot.end_s, shot.seen_s],
+        "until_s": None if math.isinf(shot.until_s) else shot.until_s,
         "gaps": shot.gaps,
     }
     tensors = {
@@ -346,6 +352,7 @@ def _followed(folder: Path, arrays: dict[str, np.ndarray], facts: dict[str, Any]
         first=first,
         begin_s=begin_s,
         end_s=end_s,
+        until_s=math.inf if facts["until_s"] is None else float(facts["until_s"]),
         seen_s=seen_s,
         gaps=[(begin, end) for begin, end in facts["gaps"]],
     )

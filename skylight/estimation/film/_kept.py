@@ -1,6 +1,7 @@
 """What of a film's light portraits are relit by, kept beside its results."""
 
 import json
+import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from skylight.transport._cameras import Camera
 
 KEPT_FILM = "film.safetensors"
 _OF_FITS = ("rotation", "translation", "expression")
+_OF_FRAMES = ("frames", "times_s", "points", "world_from_camera")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +37,8 @@ class KeptFilm:
     units, as ``white_balance`` shows them; that, ``edit`` and ``specular_scale`` are medians over
     keyframes. ``poses`` are in pictures of ``size`` (width, height), of which the keyframes are
     numbers ``frames`` (K,) at ``times_s``, with the landmarks ``points`` and the camera turned by
-    ``world_from_camera``. What lies outside ``shot`` (begin and end in seconds) shows other shots.
+    ``world_from_camera``. What lies before ``shot`` (begin and end in
+    seconds) may show another one, and what begins at its end does; that of the last is infinite.
     """
 
     environment: EnvironmentMap
@@ -63,12 +66,15 @@ class KeptFilm:
         light, start = result.light, result.light.start
         edits = [frame.edit for frame in light.frames]
         shot = result.followed.shot
-        readings = [one.face.readings for one in result.keyframes]
+        points = []
+        for one in result.keyframes:
+            assert one.face.readings is not None  # MediaPipe's
+            points.append(one.face.readings.mean(0))
         return KeptFilm(
             environment=light.mean.environment,
-            white_balance=torch.stack([frame.white_balance for frame in light.frames])
-            .median(0)
-            .values,
+            white_balance=torch.stack([frame.white_balance for frame in light.frames]).quantile(
+                0.5, dim=0
+            ),
             lamps=light.mean.lamps,
             edit=Edit(
                 saturation=float(np.median([edit.saturation for edit in edits])),
@@ -89,9 +95,9 @@ class KeptFilm:
             size=result.followed.size,
             frames=np.array([one.number for one in result.keyframes]),
             times_s=np.array([one.time_s for one in result.keyframes]),
-            points=np.array([one.mean(0) for one in readings if one is not None]),
+            points=np.array(points),
             world_from_camera=np.array(result.world_from_camera),
-            shot=(shot.begin_s, shot.end_s),
+            shot=(shot.begin_s, shot.until_s),
             face=face,
             verdict=start.verdict.summary,
             advice=result.advice,
@@ -128,10 +134,7 @@ def write_film(folder: Path, film: KeptFilm) -> None:
         name: torch.from_numpy(np.array([getattr(pose, name) for pose in film.poses]))
         for name in _OF_FITS
     }
-    tensors |= {
-        name: torch.from_numpy(getattr(film, name))
-        for name in ("frames", "times_s", "points", "world_from_camera")
-    }
+    tensors |= {name: torch.from_numpy(getattr(film, name)) for name in _OF_FRAMES}
     tensors |= {
         "identity": torch.from_numpy(film.poses[0].identity),
         "environment": film.environment.radiance,
@@ -149,7 +152,7 @@ def write_film(folder: Path, film: KeptFilm) -> None:
         "edit": asdict(film.edit),
         "specular_scale": film.specular_scale,
         "size": film.size,
-        "shot": film.shot,
+        "shot": [None if math.isinf(time_s) else time_s for time_s in film.shot],
         "face": film.face,
         "verdict": film.verdict,
         "advice": film.advice,
@@ -179,6 +182,9 @@ def read_film(folder: Path) -> KeptFilm:
     try:
         tensors, metadata = read_tensors(path)
         facts = json.loads(metadata["facts"])
+        counts = {name: len(tensors[name]) for name in (*_OF_FITS, *_OF_FRAMES)}
+        if len(set(counts.values())) > 1:
+            raise ValueError(f"not of as many keyframes: {counts}")
         poses = tuple(
             FitState(
                 log_focal=facts["log_focal"],
@@ -208,7 +214,7 @@ def read_film(folder: Path) -> KeptFilm:
             times_s=tensors["times_s"].numpy(),
             points=tensors["points"].numpy(),
             world_from_camera=tensors["world_from_camera"].numpy(),
-            shot=(begin_s, end_s),
+            shot=(begin_s, math.inf if end_s is None else end_s),
             advice=tuple(facts["advice"]),
             file=Path(facts["film"]),
             **{

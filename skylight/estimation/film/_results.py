@@ -17,6 +17,7 @@ from skylight._figures import (
     show_probe,
     white_of,
 )
+from skylight.errors import InputError
 from skylight.estimation._report import SOME_FILES, write_mesh
 from skylight.estimation._summary import (
     at,
@@ -95,10 +96,22 @@ def estimate_film_into(
 
 
 def relightable(out: Path, film: Path, settings: FilmSettings, progress: StageProgress) -> KeptFilm:
-    """What portraits are relit by, of an earlier estimate in ``out`` or of one made now."""
-    if (out / KEPT_FILM).is_file() and (out / SETTINGS).is_file():
-        keep_settings(out / SETTINGS, settings.facts(film))
-    else:
+    """What portraits are relit by, of an earlier estimate in ``out`` or of one made now.
+
+    Raises
+    ------
+    InputError
+        As :func:`estimate_film_into` and :func:`read_film`.
+    """
+    if (out / SETTINGS).is_file():
+        try:
+            keep_settings(out / SETTINGS, settings.facts(film))
+        except InputError as error:
+            raise InputError(
+                f"{out}: the light in it is that of another film or other options; name {out} in "
+                "the film's place to relight by it, delete it, or write elsewhere with --out"
+            ) from error
+    if not ((out / KEPT_FILM).is_file() and (out / SETTINGS).is_file()):
         estimate_film_into(out, film, settings, progress)
     return read_film(out)
 

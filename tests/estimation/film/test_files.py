@@ -1,6 +1,7 @@
 """``skylight estimate --video``: a light for each keyframe, and what is wrong with films."""
 
 import json
+import math
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,7 @@ from skylight.errors import InputError
 from skylight.estimation.film import _estimate as film_module
 from skylight.estimation.film._estimate import FOLLOWING
 from skylight.estimation.film._follow import FOLLOWED, Shot, read_followed
+from skylight.estimation.film._kept import read_film
 from skylight.imaging._camera_turns import Link, world_from_cameras
 from skylight.io._files import read_environment_map
 from skylight.io._tensors import read_tensors, write_tensors
@@ -58,6 +60,13 @@ class TestALightOfAFilm:
         assert {"posterior.exr", "probe.hdr", "mesh.obj", "report.png"} <= {
             path.name for path in out.iterdir()
         }
+
+    def test_what_films_are_relit_by_is_to_their_end_and_of_medians(self, out: Path) -> None:
+        told, film = json.loads((out / "film.json").read_text()), read_film(out)
+        assert film.shot == (0.0, math.inf)
+        whites = [one["white_balance"] for one in told["keyframes"]]
+        np.testing.assert_allclose(film.white_balance, np.median(whites, axis=0), rtol=1e-6)
+        assert len(film.points) == len(film.frames) == 2
 
     def test_the_same_command_goes_on_without_following_again(
         self, out: Path, monkeypatch: pytest.MonkeyPatch
