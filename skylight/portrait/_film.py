@@ -44,11 +44,12 @@ SETTLED = 4  # times that a shot's first frame is cut out again, as the next one
 @dataclass(frozen=True, kw_only=True)
 class RelitFrame:
     """``codes`` (h,w,3) of a frame at ``time_s`` in each light; as they were where ``is_relit`` is
-    False. ``gains`` are what was done to it."""
+    False. ``gains`` are what was done to it, and ``doubts`` say why they are weaker."""
 
     time_s: float
     codes: Mapping[Path, UInt8[ndarray, "h w 3"]]
     gains: Mapping[Path, Gains]
+    doubts: tuple[str, ...]
     is_relit: bool
 
 
@@ -77,16 +78,20 @@ def relight_film(
     Raises
     ------
     InputError
-        As :func:`~skylight.portrait._poses.film_poses`, or a film is named otherwise.
+        As :func:`~skylight.portrait._poses.film_poses`; a film is named otherwise, or is the one
+        that is relit.
     OutputError
         A film cannot be written there; none of them is left half written.
     """
     for path in lights:
         check_film_name(path)
         require_place(path)
+        if path.resolve() == film.file.resolve():
+            raise InputError(f"{path} is the film itself: name another one")
     poses = film_poses(film, lambda share: progress("following the head", share))
     rate = film_rate(film.file)
     writes: dict[Path, WriteFrame] = {}
+    doubts: set[str] = set()
     written, last = 0, None
     with ExitStack() as files:
         for frame in relit_frames(
@@ -96,6 +101,7 @@ def relight_film(
                 for path, codes in frame.codes.items():
                     size = codes.shape[1], codes.shape[0]
                     writes[path] = files.enter_context(written_film(path, rate, size))
+            doubts |= {*frame.doubts}
             # until now the frame before was shown
             due = round(frame.time_s * rate)
             while last is not None and written < due:
@@ -104,7 +110,7 @@ def relight_film(
             last = frame
         if last is not None:
             _write(writes, last)
-    notes = [*film.advice, film.warning]
+    notes = [*film.advice, film.warning, *sorted(doubts)]
     notes += [f"no face from {a:.1f} to {b:.1f} s: relit less" for a, b in poses.gaps]
     return tuple(dict.fromkeys(note for note in notes if note))
 
@@ -139,6 +145,7 @@ def relit_frames(
             time_s=frame.time_s,
             codes={path: relighter.codes(frame, gains.get(path), exposure) for path in lights},
             gains=gains,
+            doubts=relighter.doubts if gains else (),
             is_relit=bool(gains),
         )
 
@@ -244,6 +251,11 @@ class _Relighter:
         light, factor = self.lights[path], self.factors.get(path)
         edge = None if light.edge is None else _turned(light.edge, turn)
         return portrait.gains(light.environment, keep=self.keep, edge=edge, factor=factor)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why all frames are relit weaker."""
+        return () if self.held is None else self.held.doubts
 
     def cut(self) -> None:
         """What comes next has nothing to do with what came before."""

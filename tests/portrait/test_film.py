@@ -333,6 +333,22 @@ class TestWhatIsWrong:
         assert said in refused(capsys, "film.mkv", "--key", "left", *options)
         assert [path.name for path in tmp_path.iterdir()] == ["film.mkv"]
 
+    def test_the_folder_of_a_photographs_light_is_left_alone(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        written(Path("me.mkv"), frames(1))
+        Path("me_light").mkdir()
+        Path("me_light/estimate.json").write_text("{}")
+        line = refused(capsys, "me.mkv", "--key", "left")
+        assert "me_light holds the light of a photograph: write elsewhere with --out" in line
+        assert [path.name for path in Path("me_light").iterdir()] == ["estimate.json"]
+
+    def test_a_film_is_not_written_over_itself(self, tmp_path: Path) -> None:
+        film = kept(written(tmp_path / "film.mkv", frames(1)))
+        with pytest.raises(InputError, match="is the film itself"):
+            relight_film(film, {film.file: key_light(film, "left")})
+
     def test_the_light_of_a_folder_of_frames_or_another_film(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:

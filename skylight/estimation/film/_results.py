@@ -101,8 +101,10 @@ def relightable(out: Path, film: Path, settings: FilmSettings, progress: StagePr
     Raises
     ------
     InputError
-        As :func:`estimate_film_into` and :func:`read_film`.
+        As :func:`estimate_film_into` and :func:`read_film`; ``out`` is of a photograph.
     """
+    if (out / "estimate.json").is_file():
+        raise InputError(f"{out} holds the light of a photograph: write elsewhere with --out")
     if (out / SETTINGS).is_file():
         try:
             keep_settings(out / SETTINGS, settings.facts(film))
