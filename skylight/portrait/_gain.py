@@ -24,7 +24,6 @@ from skylight.sphere._envmap import LUMINANCE
 # Lengths are in heights of the face.
 SHARP = 0.02  # standard deviation of the Gaussian of shading: what a fitted head is off by
 REACH = 0.12  # and of what is taken of a face's gain beyond it
-BORDER = 0.05  # and of the border of its own gain
 EXACT = 0.01  # and of the shading whose edges the picture places
 LOCAL = 0.05  # and of the neighbourhood in which shading is compared with the picture
 EDGE = 0.02  # radius of the guided filter that tells shading's edges from texture
@@ -97,13 +96,12 @@ def enlarged(
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """Where a picture of shading shows skin (``bare``), that of the face (``face``), what light was
-    traced to: skin below hair too (``traced``), and any of the person (``covered``)."""
+    """Where a picture of shading shows skin (``bare``), that of the face (``face``), and what light
+    was traced to: skin below hair too (``traced``)."""
 
     bare: Float[ndarray, "p q"]
     face: Float[ndarray, "p q"]
     traced: Float[ndarray, "p q"]
-    covered: Float[ndarray, "p q"]
     face_px: float
 
     def mean(self, picture: Float[ndarray, "p q c"]) -> Float[ndarray, " c"]:
@@ -111,15 +109,8 @@ class Surface:
         return picture[self.bare > 0].mean(0)
 
     def share(self) -> Float[ndarray, "p q"]:
-        """How much of a place is the face's, softly, and from 0 where scalp, ears and neck begin.
-
-        Where its gain is another than theirs a narrow border shows as an edge; the outline of the
-        person before its background is one.
-        """
-        sigma = BORDER * self.face_px
-        face, person = (cv2.GaussianBlur(each, (0, 0), sigma) for each in (self.face, self.covered))
-        within = np.clip(2 * face / np.maximum(person, 1e-3) - 1, 0, 1)
-        return within * cv2.GaussianBlur(self.face, (0, 0), EXACT * self.face_px)
+        """How much of a place is the face's, with a soft border."""
+        return cv2.GaussianBlur(self.face, (0, 0), EXACT * self.face_px)
 
     def beyond(self, gain: Float[ndarray, "p q"]) -> Float[ndarray, "p q"]:
         """What is known of the face, continued over ears, neck, hair and clothes.

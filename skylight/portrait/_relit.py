@@ -221,7 +221,6 @@ class Portrait:
             bare=float32(on_skin),
             face=float32(front if front.any() else on_skin),
             traced=float32(np.isin(regions, SKIN)),
-            covered=float32(regions >= 0),
             face_px=person.face_px,
         )
         mean, shine, shown = (on.mean(each) for each in (shading, specular, small))

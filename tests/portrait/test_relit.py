@@ -258,24 +258,12 @@ def test_what_is_known_of_the_face_is_continued_smoothly() -> None:
     middle = columns[on.face > 0].mean()
     sides = np.where(on.face > 0, np.sign(columns - middle), 9).astype(np.float32)
     whole = on.continued(sides)
-    inner = cv2.erode(on.face, np.ones((9, 9), np.uint8)) > 0
+    inner = cv2.erode(on.face, np.ones((5, 5), np.uint8)) > 0
     np.testing.assert_allclose(whole[inner], sides[inner], atol=0.1)
     away = cv2.dilate(on.face, np.ones((9, 9), np.uint8)) == 0
     steps = np.abs(np.diff(whole, axis=1))[away[:, 1:] & away[:, :-1]]
     assert np.abs(whole)[away].max() < 1.01  # what lay beside the face is not taken
     assert steps.max() < 0.2 < np.abs(np.diff(sides[inner.any(1)], axis=1)).max()
-
-
-def test_a_face_keeps_its_own_to_the_outline_and_gives_it_up_gradually_before_the_neck() -> None:
-    on = of_the_model(even()).on
-    share, face = on.share(), on.face > 0
-    alone = cv2.blur(on.covered, (9, 9)) - cv2.blur(on.face, (9, 9)) < 1e-6  # but for background
-    outline = face & alone & (cv2.erode(on.face, np.ones((3, 3), np.uint8)) == 0)
-    assert outline.sum() > 10
-    assert share[outline].min() > 0.4  # the half of what a pixel at the outline is
-    neck = cv2.erode((region_image(person()) == Region.NECK).astype(np.uint8), np.ones((3, 3)))
-    assert share[neck > 0].max() < 0.2
-    assert np.abs(np.diff(share, axis=0))[face[1:] & face[:-1]].max() < 0.5  # a narrow one: 0.9
 
 
 def hard(azimuth_deg: float) -> EnvironmentMap:
