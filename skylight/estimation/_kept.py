@@ -6,6 +6,7 @@ would have given. Of the photograph are stored its place, seen from the results,
 
 import json
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
@@ -133,9 +134,7 @@ def write_face(folder: Path, face: KeptFace) -> None:
         "environment": face.environment.radiance,
         "white_balance": face.white_balance,
     }
-    if face.lamps:
-        tensors["directions"] = torch.stack([lamp.direction for lamp in face.lamps])
-        tensors["irradiances"] = torch.stack([lamp.irradiance for lamp in face.lamps])
+    tensors |= lamp_tensors(face.lamps)
     if fit.covariance is not None:
         tensors["covariance"] = torch.from_numpy(fit.covariance)
     if face.reflection.head_error is not None:
@@ -155,6 +154,28 @@ def write_face(folder: Path, face: KeptFace) -> None:
         "warning": face.warning,
     }
     write_tensors(folder / KEPT, tensors, {"facts": json.dumps(facts)})
+
+
+def lamp_tensors(lamps: Sequence[Lamp]) -> dict[str, Tensor]:
+    """Directions and irradiances, nothing of no lamp; spreads are kept as numbers."""
+    if not lamps:
+        return {}
+    return {
+        "directions": torch.stack([lamp.direction for lamp in lamps]),
+        "irradiances": torch.stack([lamp.irradiance for lamp in lamps]),
+    }
+
+
+def kept_lamps(tensors: Mapping[str, Tensor], spreads_rad: Sequence[float]) -> tuple[Lamp, ...]:
+    """Those of :func:`lamp_tensors`, of so many spreads."""
+    return tuple(
+        Lamp(
+            direction=tensors["directions"][number],
+            irradiance=tensors["irradiances"][number],
+            spread_rad=spread_rad,
+        )
+        for number, spread_rad in enumerate(spreads_rad)
+    )
 
 
 def way_to(folder: Path, file: Path) -> str:
@@ -198,18 +219,11 @@ def read_face(folder: Path, photo: Photo | None = None) -> KeptFace:
             covariance=None if covariance is None else covariance.numpy(),
             **{name: tensors[name].numpy() for name in _OF_FIT},
         )
+        lamps = kept_lamps(tensors, facts["spreads_rad"])
         reflection = FaceReflection(
             specular_scale=facts["specular_scale"],
             head_error=tensors.get("head_error"),
             edit=Edit(**facts["edit"]),
-        )
-        lamps = tuple(
-            Lamp(
-                direction=tensors["directions"][number],
-                irradiance=tensors["irradiances"][number],
-                spread_rad=spread_rad,
-            )
-            for number, spread_rad in enumerate(facts["spreads_rad"])
         )
         kept = {name: facts[name] for name in ("name", "verdict", "warning")}
         light = {

@@ -152,10 +152,10 @@ class Portrait:
     ``shading`` and ``specular`` (p,q,3) are S_A and g_A, and ``on`` says where they show skin.
     ``before`` is ln L_A, ``unseen`` U, ``colour`` gives s, and ``mean`` (3,) is the mean S_A of
     skin. ``openness`` (p,q) and ``hue`` (3,) are o and h of :mod:`skylight.portrait._bounce`, and
-    ``hollow_share`` (p,q) is how much of A's light on the face comes from the face. ``albedo`` is
-    that of skin in luminance. ``specular_scale`` is at most that whose mean g_A over skin is
-    :data:`MOST_SPECULAR` of the photograph's in each channel. ``strength`` is q, and ``doubts`` say
-    why it is below 1.
+    ``hollow_share`` (p,q) is how much of A's light on the face comes from the face, continued
+    beyond it. ``albedo`` is that of skin in luminance. ``specular_scale`` is at most that whose
+    mean g_A over skin is :data:`MOST_SPECULAR` of the photograph's in each channel. ``strength`` is
+    q, and ``doubts`` say why it is below 1.
     """
 
     photo: Float[ndarray, "h w 3"]
@@ -273,7 +273,7 @@ class Portrait:
             mean=mean,
             openness=openness,
             hue=hue,
-            hollow_share=on.share_of(hollow, shading),
+            hollow_share=on.continued(on.share_of(hollow, shading)),
             before=before,
             unseen=hidden,
             colour=SkinColour.of(
@@ -381,8 +381,8 @@ class Portrait:
         self, shading: Float[ndarray, "p q 3"], hollow: Float[ndarray, "p q"]
     ) -> Float[ndarray, "p q 3"]:
         """What hollows change of their colour, as far as the gain is laid on."""
-        shares = self.on.share_of(hollow, shading), self.hollow_share
-        after, before = (hollow_tint(self.on.continued(each), self.hue) for each in shares)
+        share = self.on.continued(self.on.share_of(hollow, shading))
+        after, before = (hollow_tint(each, self.hue) for each in (share, self.hollow_share))
         return self.strength * (after - before)
 
     def _behind(self, light: EnvironmentMap) -> Float[ndarray, "3"]:

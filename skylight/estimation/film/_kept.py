@@ -12,7 +12,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.estimation._kept import kept_file, warning_of, way_to
+from skylight.estimation._kept import kept_file, kept_lamps, lamp_tensors, warning_of, way_to
 from skylight.estimation._manifest import file_hash
 from skylight.estimation.film._estimate import FilmEstimate
 from skylight.faces._fit import FaceFit, FitState
@@ -140,9 +140,7 @@ def write_film(folder: Path, film: KeptFilm) -> None:
         "environment": film.environment.radiance,
         "white_balance": film.white_balance,
     }
-    if film.lamps:
-        tensors["directions"] = torch.stack([lamp.direction for lamp in film.lamps])
-        tensors["irradiances"] = torch.stack([lamp.irradiance for lamp in film.lamps])
+    tensors |= lamp_tensors(film.lamps)
     facts = {
         "film": way_to(folder, film.file),
         "sha256": file_hash(film.file),
@@ -193,20 +191,12 @@ def read_film(folder: Path) -> KeptFilm:
             )
             for k in range(len(tensors["frames"]))
         )
-        lamps = tuple(
-            Lamp(
-                direction=tensors["directions"][number],
-                irradiance=tensors["irradiances"][number],
-                spread_rad=spread_rad,
-            )
-            for number, spread_rad in enumerate(facts["spreads_rad"])
-        )
         width, height = facts["size"]
         begin_s, end_s = facts["shot"]
         film = KeptFilm(
             environment=EnvironmentMap(radiance=tensors["environment"]),
             white_balance=tensors["white_balance"],
-            lamps=lamps,
+            lamps=kept_lamps(tensors, facts["spreads_rad"]),
             edit=Edit(**facts["edit"]),
             poses=poses,
             size=(width, height),

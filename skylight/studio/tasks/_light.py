@@ -20,13 +20,14 @@ from torch import Tensor
 
 from skylight._figures import white_of
 from skylight._names import LightName, Place
+from skylight.estimation._kept import kept_lamps, lamp_tensors
 from skylight.estimation._photos import estimate_photo
 from skylight.estimation._report import over_grey, write_results
 from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._colour import tone_map
 from skylight.imaging._edits import Edit
 from skylight.inverse._lamp_relighting import FaceTransport, LampLight
-from skylight.inverse._result import MAP_ROWS, Lamp
+from skylight.inverse._result import MAP_ROWS
 from skylight.io._files import write_environment_map, write_png
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.models._bundle import load_model, own_model
@@ -121,8 +122,7 @@ def keep_lamps(folder: Path, result: PhotoEstimate, light: LampLight) -> dict[st
     tensors = {
         **{f"ambient.{rows}": radiance for rows, radiance in light.ambient.items()},
         "level": torch.tensor(light.level, dtype=torch.float64),
-        "directions": torch.stack([lamp.direction for lamp in light.lamps]),
-        "irradiances": torch.stack([lamp.irradiance for lamp in light.lamps]),
+        **lamp_tensors(light.lamps),
         "spreads_rad": torch.tensor([lamp.spread_rad for lamp in light.lamps]).double(),
     }
     for number, (seen, face) in enumerate(zip(result.seen, result.estimate.faces, strict=True)):
@@ -188,11 +188,7 @@ def light_edited(
 def _kept(folder: str) -> tuple[LampLight, list[_Face]]:
     """What :func:`keep_lamps` wrote; it does not change."""
     tensors, _ = read_tensors(Path(folder) / KEPT)
-    rows = (tensors[name] for name in ("directions", "irradiances", "spreads_rad"))
-    lamps = tuple(
-        Lamp(direction=direction, irradiance=irradiance, spread_rad=float(spread_rad))
-        for direction, irradiance, spread_rad in zip(*rows, strict=True)
-    )
+    lamps = kept_lamps(tensors, tensors["spreads_rad"].tolist())
     ambient = {
         int(name.removeprefix("ambient.")): tensor
         for name, tensor in tensors.items()

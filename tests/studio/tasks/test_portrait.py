@@ -199,9 +199,9 @@ def test_gains_in_the_page_are_those_of_the_portrait() -> None:
         off = np.abs(ours["gain"][: len(want), : want.shape[1]] - want)[covered]
         assert off.mean() < 0.015, (azimuth, elevation)  # a logarithm: 1.5 %
         shading, _ = portrait.shaded_by(moved.environment)
-        after = portrait.on.share_of(portrait.bounced(shading), shading)
+        after = portrait.on.continued(portrait.on.share_of(portrait.bounced(shading), shading))
         for name, share in (("after", after), ("before", portrait.hollow_share)):
-            want = in_grid(portrait.on.continued(share), page["grid"])
+            want = in_grid(share, page["grid"])
             off = np.abs(ours[name][: len(want), : want.shape[1]] - want)[covered]
             assert off.mean() < 0.01 < want[covered].max() - want[covered].min()
         on_face = gain[portrait.on.face > 0]
