@@ -22,6 +22,7 @@ from skylight.imaging._film import film_frames
 from skylight.imaging._film_writer import written_film
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.portrait import _film as film_module
+from skylight.portrait._edge import EdgeLight
 from skylight.portrait._film import relight_film, relit_frames
 from skylight.portrait._keys import key_light
 from skylight.portrait._moving import MovingHead
@@ -172,6 +173,24 @@ class TestARelitFilm:
         # and it is the key light: the left of the face becomes brighter against its right
         face = np.log(together[3].mean(2))[90:190, 82:182]
         assert face[:, :40].mean() > face[:, 60:].mean() + 0.3
+
+    def test_all_frames_are_as_much_brighter_where_brightness_is_kept(self, tmp_path: Path) -> None:
+        """By what keeps the mean of some, which is known beforehand."""
+        film = kept(written(tmp_path / "film.mkv", frames(2)))
+        light = {LEFT: key_light(film, "left")}
+        seen = relit_frames(film, film_poses(film), light, keep="brightness", workers=1)
+        one, other = (frame.gains[LEFT].factor for frame in seen)
+        assert one == other
+        assert one != 1
+
+    def test_an_edge_is_lit_from_where_the_world_has_its_lamp(self) -> None:
+        """A camera that turns by 90 degrees to the right sees what was ahead on its left."""
+        ahead = EdgeLight(direction=(0.0, 0.6, -0.8), strength=2.0, spread_rad=0.1)
+        # world from camera: what is ahead of it (-Z) is on the world's right
+        turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+        seen = film_module._turned(ahead, turn)
+        assert seen.direction == pytest.approx((-0.8, 0.6, 0.0))
+        assert (seen.strength, seen.spread_rad) == (2.0, 0.1)
 
     def test_a_frame_whose_skin_is_taken_for_hair_is_lit_like_the_one_before(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -14,7 +14,7 @@ from PIL import ExifTags
 
 from skylight.errors import InputError
 from skylight.imaging._film import as_rgb, film_frames, film_rate, opened_film, require_film
-from skylight.imaging._film_writer import written_film
+from skylight.imaging._film_writer import check_film_name, written_film
 from skylight.imaging._photo import read_codes
 from skylight.imaging._pictures import stored_picture
 from skylight.io._atomic import require_place
@@ -233,8 +233,7 @@ class LiveReport:
 
 def check_film(source: Path | int, out: Path, most: int | None) -> None:
     """Refuse, before any work, what :func:`write_film` could not read or write."""
-    if out.suffix.lower() != ".mp4":
-        raise InputError(f"{out}: films are written as .mp4; choose another name")
+    check_film_name(out)
     if most is not None and most < 1:
         raise InputError(f"at least 1 frame is needed, got {most}")
     require_film(source)
@@ -244,7 +243,7 @@ def check_film(source: Path | int, out: Path, most: int | None) -> None:
 def write_film(
     source: Path | int, out: Path, show: Show, *, size: tuple[int, int], most: int | None = None
 ) -> LiveReport:
-    """Write ``out`` (.mp4, ``size`` is width and height) with what each frame becomes.
+    """Write ``out`` (.mp4, .mkv; ``size`` is width and height) with what each frame becomes.
 
     Ctrl-C ends a webcam's film, which is kept.
     """

@@ -234,7 +234,7 @@ def live(
             above, in the film's own time (a webcam's frames are 30 a second), from --turn-deg on.
         angles: With --turn-deg-per-s: at how many angles of a whole turn transfer coefficients are
             made (24 unless given); light is interpolated in between.
-        out: The film to write: .mp4.
+        out: The film to write: .mp4, or .mkv without loss.
         frames: Stop after so many.
     """
     from skylight.probes.cameras._files import read_setup

@@ -298,7 +298,7 @@ def live_scene(
     tell: Tell = print,
     warn: Tell = print,
 ) -> LiveReport:
-    """Write ``out`` (.mp4) with the scene drawn into each frame of a video or webcam.
+    """Write ``out`` (.mp4, .mkv) with the scene drawn into each frame of a video or webcam.
 
     ``capture`` is what is known of the light at first; without it, the scene appears once half of
     the cells were seen, and ``albedo`` is the kernel's. A scene of several angles turns, in the

@@ -195,7 +195,7 @@ def live_film(
     most: int | None = None,
     tell: Tell = print,
 ) -> LiveReport:
-    """Write ``out`` (.mp4) with the model drawn into each frame of a video or webcam.
+    """Write ``out`` (.mp4, .mkv) with the model drawn into each frame of a video or webcam.
 
     Ctrl-C ends a webcam's film, which is kept.
     """

@@ -268,7 +268,7 @@ def live_voxel(
         board: The board's measures, as `skylight camera board` wrote them.
         assembly: How the probe stands on it, as `print` wrote it or, better, `capture`.
         response: The camera's response; otherwise sRGB.
-        out: The film to write: .mp4.
+        out: The film to write: .mp4, or .mkv without loss.
         reconstruction: How slots that no face of the probe shows are completed.
         albedo: Of the printed material.
         resolution: Voxels along the longest side of a mesh.
