@@ -20,6 +20,7 @@ from skylight.portrait._gain import (
     DARKER,
     DARKEST,
     EDGE,
+    EDGE_OF_WHITE,
     LUMINANCE_WEIGHTS,
     PORES,
     blurred,
@@ -29,8 +30,6 @@ from skylight.portrait._gain import (
 VEILING = 0.02  # stray light over the picture's mean: glare of usual lenses is 1 to 3 % (ISO 9358)
 LEAST_ROOM = 0.05  # logarithm: what white may still become brighter by, and is rolled off
 SHORT = 0.15  # logarithm: where skin near white has neither colour nor shape
-# Of white, below it: where codes lose brightness; a smaller range shows as an edge
-EDGE_OF_WHITE = 0.25
 OVER = 1.0  # logarithm: how much brighter than white a white place may have been
 OTHER_BRIGHTER, OTHER_DARKER = 0.35, 0.7  # logarithms: half a stop and one, of hair and clothes
 _MIDDLE = 20, 230  # codes that are neither dark nor clipped
