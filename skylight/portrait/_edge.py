@@ -104,13 +104,11 @@ def known(
 ) -> Float[ndarray, "p q"]:
     """How far the outline is to be believed: 1 near head, likely ``hair`` and bust, softly to 0."""
 
-    def grown(mask: Bool[ndarray, "p q"], by: float) -> Float[ndarray, "p q"]:
-        side = 2 * round(by * face_px) + 1
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-        return cv2.dilate(float32(mask), disc)
+    def near(mask: Bool[ndarray, "p q"], reach: float) -> Float[ndarray, "p q"]:
+        away = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
+        return np.clip(1 + (reach * face_px - away) / (SMOOTH * face_px), 0, 1)
 
-    near = np.maximum(grown(head | (hair > LIKELY_HAIR), NEAR), grown(bust, NEAR_BUST))
-    return np.clip(2 * cv2.GaussianBlur(near, (0, 0), SMOOTH * face_px / 2), 0, 1)
+    return np.maximum(near(head | (hair > LIKELY_HAIR), NEAR), near(bust, NEAR_BUST))
 
 
 def leaning(
