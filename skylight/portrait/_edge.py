@@ -7,17 +7,29 @@ leans by ``s = 1 - t / WIDTH`` out of the picture's plane, ``n = (s o, sqrt(1 - 
 the outline's own normal in the picture, and a lamp in direction d sends it ``<n, d>+``, of which
 :data:`GRAZING` times as much as of light from the front is reflected. Along an
 outline that is cut out right, that is exact for a cylinder whose radius is :data:`WIDTH`; thicker
-things have wider edges than these.
+things have wider edges than these. Where neither head, hair nor bust is near, the outline is not
+known, and gets no edge.
+
+A place x of luminance Y sends back, times the edge, what it shows and a sheen ::
+
+    x + SHEEN M Y / (b + v) Y / (Y + v),
+
+b being the luminance of its surroundings (:func:`surroundings`), M that of skin, and v the veil of
+:mod:`skylight.portrait._room`. The first is what has a thing's own colour, the second what its
+surface reflects, in the mean as much of dark things as of pale ones and in the lamp's colour, which
+is white here, as the first highlight of hair is (Marschner et al. 2003). It is a multiple of what
+is there, so strands keep their contrast, and what is as dark as stray light stays so. How strands
+run is not known: their highlights are as broad as cloth's.
 """
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from skylight.portrait._gain import float32
+from skylight.portrait._gain import LUMINANCE_WEIGHTS, blurred, float32
 
 WIDTH = 0.16  # of the face's height; with 0.36, a sheen of 1 and less light judges saw grey fog
 GAP = 0.06  # of it: radius of gaps in the matte that are closed
@@ -26,8 +38,11 @@ SMOOTH = 0.03  # of it: the standard deviation of the outline's own normal, so t
 BEHIND = -0.5
 METERED = 0.06  # of a ball's brightness: what an edge counts for in an exposure
 GRAZING = 5.0  # times as much is reflected from behind as Lambert's law has it: Fresnel's
-# Of the geometric mean of a place's brightness and skin's, which dark hair reflects without colour
-SHEEN = 0.6
+SHEEN = 0.6  # of what skin sends back
+STRANDS = 0.04  # of a face's height: standard deviation of the surroundings of a strand
+NEAR = 0.06  # of it: what lies farther from head and hair is no outline of theirs
+NEAR_BUST = 0.5  # and from a bust, which fits nobody exactly
+LIKELY_HAIR = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +73,42 @@ class EdgeLight:
 def edge_share(z: float) -> float:
     """How much of a lamp in a direction of that z is drawn as an edge, and not on the model."""
     return min(max(z / BEHIND, 0.0), 1.0)
+
+
+def reflected(
+    picture: Float[ndarray, "h w 3"],
+    around: Float[ndarray, "h w"],
+    bright: float,
+    veil: float,
+) -> Float[ndarray, "h w 3"]:
+    """What an edge multiplies, by the module's text: b is ``around``, M ``bright``, v ``veil``."""
+    shown = np.maximum(picture @ LUMINANCE_WEIGHTS, 0)
+    veil = max(veil, 1e-9)
+    sheen = np.float32(SHEEN * bright) * shown**2 / ((around + veil) * (shown + veil))
+    return picture + sheen[..., None]
+
+
+def surroundings(
+    picture: Float[ndarray, "h w 3"], matte: Float[ndarray, "h w"], face_px: float
+) -> Float[ndarray, "h w"]:
+    """Mean luminance of what of the person lies within :data:`STRANDS`."""
+    shown = np.maximum(picture @ LUMINANCE_WEIGHTS, 0)[..., None]
+    return blurred(shown, matte**4, STRANDS * face_px)[..., 0]
+
+
+def known(
+    head: Bool[ndarray, "p q"],
+    hair: Float[ndarray, "p q"],
+    bust: Bool[ndarray, "p q"],
+    face_px: float,
+) -> Float[ndarray, "p q"]:
+    """How far the outline is to be believed: 1 near head, likely ``hair`` and bust, softly to 0."""
+
+    def near(mask: Bool[ndarray, "p q"], reach: float) -> Float[ndarray, "p q"]:
+        away = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
+        return np.clip(1 + (reach * face_px - away) / (SMOOTH * face_px), 0, 1)
+
+    return np.maximum(near(head | (hair > LIKELY_HAIR), NEAR), near(bust, NEAR_BUST))
 
 
 def leaning(

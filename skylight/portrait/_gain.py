@@ -41,6 +41,8 @@ STEPS = 16  # of brightness
 FEW = 0.004  # of a face's pixels: so many tell little of their colour
 PORES = 0.15  # what the guided filter takes for texture
 BASE = 0.01  # of the mean shading, in addition: light that scatters below the skin
+# Of white, below it: where codes lose brightness; a smaller range shows as an edge
+EDGE_OF_WHITE = 0.25
 SHINE = 0.7  # of the specular reflection, which no estimate knows well
 DARKEST = 0.004  # of white, before logarithms: noise of the darkest pixels
 LUMINANCE_WEIGHTS = np.array(LUMINANCE, np.float32)
@@ -185,12 +187,17 @@ class SkinColour:
     they are the same wherever skin is as bright. ``alike`` (p,q) is how far a place has the colour
     of skin of its brightness, as a collar, lips and hair have not. ``pale`` (p,q,3) is
     what each channel of a highlight has to lose to get the colour of usual skin, a logarithm of at
-    most 0.
+    most 0, and of one channel 0. ``astray`` (p,q) is how far skin near white has left the line from
+    usual skin to white along ``across`` (3,), a unit vector that changes neither luminance nor the
+    distance to white: red ends at white before the others do, so over-exposed skin is yellow or
+    green, which is not seen until it is made darker.
     """
 
     lacks: Float[ndarray, "n 3"]
     alike: Float[ndarray, "p q"]
     pale: Float[ndarray, "p q 3"]
+    astray: Float[ndarray, "p q"]
+    across: Float[ndarray, "3"]
 
     @staticmethod
     def of(
@@ -223,18 +230,33 @@ class SkinColour:
         paler = np.clip((mean - own) @ mean / max(mean @ mean, 1e-6), 0, 1)[..., None] * mean
         off = np.square(mean - own - paler).sum(2)
         share = plain * bright * np.exp(-off / (2 * ALIKE**2))
-        pale = share[..., None] * np.minimum(paler - alike[..., None] * _at(base, table), 0)
+        towards = paler - alike[..., None] * _at(base, table)
+        # less of all channels but the one that is to have most: to cut off what would be more of
+        # red leaves it yellow, and darkened yellow is green
+        pale = share[..., None] * (towards - towards.max(2, keepdims=True))
+        across = np.cross(mean, LUMINANCE_WEIGHTS)
+        across = across / max(float(np.linalg.norm(across)), 1e-6)
+        near_white = on.bare * np.clip(1 - (1 - np.exp(base)) / EDGE_OF_WHITE, 0, 1)
+        astray = near_white * HUE * np.tanh(own @ across / HUE)
         return SkinColour(
             lacks=float32(table),
             alike=cv2.GaussianBlur(float32(alike), (0, 0), soft),
             pale=cv2.GaussianBlur(float32(pale), (0, 0), soft),
+            astray=cv2.GaussianBlur(float32(astray), (0, 0), soft),
+            across=float32(across),
         )
+
+    def out_of_white(self, level: Float[ndarray, "h w"]) -> Float[ndarray, "h w 3"]:
+        """Of colour where a ``level`` below 0 brings skin back from white: its hue is skin's."""
+        share = np.expm1(np.minimum(level, 0) / SOON)
+        size = (level.shape[0], level.shape[1])
+        return (share * resized(self.astray, size))[..., None] * self.across
 
     def without_highlights(self, gain: Float[ndarray, "h w"]) -> Float[ndarray, "h w 3"]:
         """Of colour where ``gain`` is below 0: a highlight of the old light goes with it.
 
-        What lies between usual skin and white gets the colour of usual skin, by its weaker
-        channels alone: so the highlight's brightness goes too.
+        What lies between usual skin and white gets the colour of usual skin, and no channel
+        becomes more: so the highlight's brightness goes too.
         """
         share = -np.expm1(np.minimum(gain, 0) / SOON)
         return share[..., None] * resized(self.pale, (gain.shape[0], gain.shape[1]))

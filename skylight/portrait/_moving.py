@@ -7,7 +7,6 @@ into that pose's frame. What that leaves out is the change of the shadows that a
 changes, and of the bust's on the neck.
 """
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,16 +20,21 @@ from torch.nn.functional import normalize
 from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel
 from skylight.faces._observe import SKIN_SPECULAR, skin_seen
-from skylight.portrait._surface import FACE_PX, SKIN, PersonMesh, Shading, scaled, softened
+from skylight.portrait._surface import (
+    FACE_PX,
+    SKIN,
+    PersonMesh,
+    Shading,
+    reflected_transport,
+    scaled,
+    softened,
+)
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.transport._matrix import SeenDirections
 from skylight.transport._rays import Raycaster
-from skylight.transport._reflection import specular_lobe
 from skylight.transport._render import SMOOTH_HEIGHT, GBuffer, Specular, rasterize, vertex_normals
 from skylight.transport._visibility import adaptive_visibility
 from skylight.work._progress import Progress
-
-_BLOCK_POINTS = 256
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,9 +155,4 @@ class PosedPerson:
         # towards the camera, in the frame of the pose that was traced
         views = (-normalize(self.vertices[head.lit], dim=1) @ self.turned).float()
         normals, towards = head.sight.normals.float(), head.sight.grid.directions.float()
-        matrix = torch.empty_like(self._transport)
-        for part in torch.arange(len(rows)).split(_BLOCK_POINTS):
-            points = rows[part]
-            lobe = specular_lobe(normals[points], views[points], towards, SKIN_SPECULAR)
-            matrix[part] = math.pi * self._transport[part] * lobe
-        return matrix
+        return reflected_transport(self._transport, normals[rows], views[rows], towards)

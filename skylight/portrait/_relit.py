@@ -50,7 +50,7 @@ from skylight.faces._segmentation import person_matte
 from skylight.imaging._edits import UNEDITED, Edit
 from skylight.imaging._photo import Photo
 from skylight.portrait._bounce import bounced, hollow_tint, hue_of
-from skylight.portrait._edge import SHEEN, EdgeLight, leaning
+from skylight.portrait._edge import EdgeLight, known, leaning, reflected, surroundings
 from skylight.portrait._gain import (
     EXACT,
     LUMINANCE_WEIGHTS,
@@ -146,16 +146,17 @@ class Portrait:
     """A photograph taken apart, so that any light can be put in the place of ``found``.
 
     ``scene`` is the photograph before its ``edit``, ``matte`` (h,w) how much of a pixel's light is
-    the person's, and ``leaning`` what :mod:`skylight.portrait._edge` has of its outline; ``bright``
-    is the mean luminance of skin. ``skin`` (h,w) is how much of it shows skin; ``base`` (h,w),
-    ``veil`` and ``white`` are of :mod:`skylight.portrait._room`. At the pixels of ``person``,
-    ``shading`` and ``specular`` (p,q,3) are S_A and g_A, and ``on`` says where they show skin.
-    ``before`` is ln L_A, ``unseen`` U, ``colour`` gives s, and ``mean`` (3,) is the mean S_A of
-    skin. ``openness`` (p,q) and ``hue`` (3,) are o and h of :mod:`skylight.portrait._bounce`, and
-    ``hollow_share`` (p,q) is how much of A's light on the face comes from the face, continued
-    beyond it. ``albedo`` is that of skin in luminance. ``specular_scale`` is at most that whose
-    mean g_A over skin is :data:`MOST_SPECULAR` of the photograph's in each channel. ``strength`` is
-    q, and ``doubts`` say why it is below 1.
+    the person's. ``leaning`` is what :mod:`skylight.portrait._edge` has of its outline where that
+    is known, and ``around`` (p,q) how bright the person is about a place; ``bright`` is the mean
+    luminance of skin. ``skin`` (h,w) is how much of it shows skin; ``base`` (h,w), ``veil`` and
+    ``white`` are of :mod:`skylight.portrait._room`. At the pixels of ``person``, ``shading`` and
+    ``specular`` (p,q,3) are S_A and g_A, and ``on`` says where they show skin. ``before`` is ln
+    L_A, ``unseen`` U, ``colour`` gives s, and ``mean`` (3,) is the mean S_A of skin. ``openness``
+    (p,q) and ``hue`` (3,) are o and h of :mod:`skylight.portrait._bounce`, and ``hollow_share``
+    (p,q) is how much of A's light on the face comes from the face, continued beyond it. ``albedo``
+    is that of skin in luminance. ``specular_scale`` is at most that whose mean g_A over skin is
+    :data:`MOST_SPECULAR` of the photograph's in each channel. ``strength`` is q, and ``doubts`` say
+    why it is below 1.
     """
 
     photo: Float[ndarray, "h w 3"]
@@ -168,6 +169,7 @@ class Portrait:
     albedo: float
     matte: Float[ndarray, "h w"]
     leaning: Float[ndarray, "p q 2"]
+    around: Float[ndarray, "p q"]
     bright: float
     base: Float[ndarray, "h w"]
     skin: Float[ndarray, "h w"]
@@ -243,8 +245,12 @@ class Portrait:
         hidden = unseen(picture, before, exact, plain, on, None if held is None else held.slope)
         head = float32((regions >= 0) & (regions != BUST))
         doubts = _doubts(small[on_skin], found, hidden) if held is None else held.doubts
+        head_drawn = (regions >= 0) & (regions < HAIR)
+        near = known(head_drawn, hair, regions == BUST, person.face_px)
         face_px = person.face_px * len(picture) / len(regions)  # in the picture's pixels
         cut = soft_matte(picture, float32(matte), head, person.face_px)
+        own = light_share(picture, cut, face_px)
+        small_matte = cv2.resize(own, small.shape[1::-1], interpolation=cv2.INTER_AREA)
         base = base_of(picture, white, face_px)
         small_base = cv2.resize(base, small.shape[1::-1], interpolation=cv2.INTER_AREA)
         return Portrait(
@@ -256,8 +262,9 @@ class Portrait:
             specular_scale=most * specular_scale,
             grey=grey,
             albedo=albedo,
-            matte=light_share(picture, cut, face_px),
-            leaning=leaning(cut, shading.shape[:2], person.face_px),
+            matte=own,
+            leaning=leaning(cut, shading.shape[:2], person.face_px) * near[..., None],
+            around=surroundings(small, small_matte, person.face_px),
             bright=float(shown @ LUMINANCE_WEIGHTS),
             base=base,
             skin=resized(
@@ -337,6 +344,7 @@ class Portrait:
         tint = cast + self.skin[..., None] * resized(self._reddened(shading, hollow), size)
         tint = tint + self.colour.change(level - usual, self.base)
         tint = tint + self.colour.without_highlights(level - usual)
+        tint = tint + self.colour.out_of_white(level)
         behind = np.ones(3, np.float32)
         if keep != "place":
             behind = np.maximum(factor * self._behind(light), 1e-9)
@@ -356,9 +364,9 @@ class Portrait:
         """The photograph with those gains, linear."""
         picture = self.scene * gains.times
         if gains.edge is not None:
-            shown = np.maximum(self.scene @ LUMINANCE_WEIGHTS, 0)[..., None]
-            sheen = SHEEN * np.sqrt(self.bright * shown)
-            picture = picture + gains.edge[..., None] * (self.scene + sheen)
+            around = resized(self.around, (self.scene.shape[0], self.scene.shape[1]))
+            sent = reflected(self.scene, around, self.bright, self.veil * self.white)
+            picture = picture + gains.edge[..., None] * sent
         # what an edit made black is not known again: where nothing changed, nothing changes
         picture = self._edited(picture) + (self.photo - self._edited(self.scene))
         return np.maximum(picture, 0)

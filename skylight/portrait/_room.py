@@ -20,6 +20,7 @@ from skylight.portrait._gain import (
     DARKER,
     DARKEST,
     EDGE,
+    EDGE_OF_WHITE,
     LUMINANCE_WEIGHTS,
     PORES,
     blurred,
@@ -29,23 +30,23 @@ from skylight.portrait._gain import (
 VEILING = 0.02  # stray light over the picture's mean: glare of usual lenses is 1 to 3 % (ISO 9358)
 LEAST_ROOM = 0.05  # logarithm: what white may still become brighter by, and is rolled off
 SHORT = 0.15  # logarithm: where skin near white has neither colour nor shape
-# Of white, below it: where codes lose brightness; a smaller range shows as an edge
-EDGE_OF_WHITE = 0.25
 OVER = 1.0  # logarithm: how much brighter than white a white place may have been
 OTHER_BRIGHTER, OTHER_DARKER = 0.35, 0.7  # logarithms: half a stop and one, of hair and clothes
 _MIDDLE = 20, 230  # codes that are neither dark nor clipped
+_ROWS = 4
 _ROUNDED = 0.05  # what codes and gammas may differ by
 # of a face's height, how far a person's colour is looked for; and its matte
 WITHIN, WHOLLY = 0.03, 0.95
 
 
 def white_of(photo: Photo) -> float:
-    """The linear value that ``photo.encoded`` shows as white, by its middle codes."""
-    middle = ((photo.encoded > _MIDDLE[0]) & (photo.encoded < _MIDDLE[1])).all(2)
+    """The linear value that ``photo.encoded`` shows as white, by the middle codes of some rows."""
+    encoded, pixels = photo.encoded[::_ROWS], photo.pixels[::_ROWS]
+    middle = ((encoded > _MIDDLE[0]) & (encoded < _MIDDLE[1])).all(2)
     if not middle.any():
         return 1.0
-    codes = torch.from_numpy(photo.encoded[middle]).float() / 255
-    ratio = float(photo.pixels[torch.from_numpy(middle)].sum() / srgb_to_linear(codes).sum())
+    codes = torch.from_numpy(encoded[middle]).float() / 255
+    ratio = float(pixels[torch.from_numpy(middle)].sum() / srgb_to_linear(codes).sum())
     return 1.0 if abs(ratio - 1) < _ROUNDED else ratio
 
 

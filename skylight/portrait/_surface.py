@@ -10,6 +10,7 @@ and is shaded as the round thing that it is. Thickness, locks and strands are no
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import cv2
@@ -24,7 +25,7 @@ from skylight.faces._bust import bust
 from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel, Region
 from skylight.faces._normal_errors import normal_changes
-from skylight.faces._observe import skin_seen
+from skylight.faces._observe import SKIN_SPECULAR, skin_seen
 from skylight.sphere._envmap import EnvironmentMap, bilinear_taps
 from skylight.sphere._frame import pixel_from_direction
 from skylight.transport._cameras import Camera
@@ -230,18 +231,43 @@ class PersonSurface:
 
         On the 32 rows on which sight is kept: no light is narrower than their 5.6 degrees.
         """
+        assert specular in (None, SKIN_SPECULAR)  # whose matrix is kept for the next light
         radiance = softened(light).flat.float()
-        normals = self.normals.float()
-        views = -normalize(self.surface.positions[self.skin], dim=1).float()
         diffuse, reflected = torch.zeros(2, len(self.regions), 3)
-        towards = self.sight.grid.directions.float()
-        for points in torch.arange(len(normals)).split(_BLOCK_POINTS):
-            transport = self.sight[points]  # V <n, w>+ dw / pi
-            diffuse[self.skin[points]] = transport @ radiance
-            if specular is not None:
-                lobe = specular_lobe(normals[points], views[points], towards, specular)
-                reflected[self.skin[points]] = (math.pi * transport * lobe) @ radiance
+        diffuse[self.skin] = self._transport @ radiance
+        if specular is not None:
+            reflected[self.skin] = self._reflected @ radiance
         return Shading(diffuse=diffuse, specular=reflected)
+
+    @cached_property
+    def _transport(self) -> Float[Tensor, "k n"]:
+        """V <n, w>+ dw / pi: 8 kB a point, for every light."""
+        return self.sight[:]
+
+    @cached_property
+    def _reflected(self) -> Float[Tensor, "k n"]:
+        """pi T f_s: as large."""
+        return reflected_transport(
+            self._transport,
+            self.normals.float(),
+            -normalize(self.surface.positions[self.skin], dim=1).float(),
+            self.sight.grid.directions.float(),
+        )
+
+
+def reflected_transport(
+    transport: Float[Tensor, "k n"],
+    normals: Float[Tensor, "k 3"],
+    views: Float[Tensor, "k 3"],
+    towards: Float[Tensor, "n 3"],
+) -> Float[Tensor, "k n"]:
+    """pi T f_s, of skin that is seen from ``views``."""
+    matrix = torch.empty_like(transport)
+    for part in torch.arange(len(normals)).split(_BLOCK_POINTS):
+        rows = slice(int(part[0]), int(part[-1]) + 1)
+        lobe = specular_lobe(normals[rows], views[rows], towards, SKIN_SPECULAR)
+        torch.mul(transport[rows], lobe.mul_(math.pi), out=matrix[rows])
+    return matrix
 
 
 def softened(light: EnvironmentMap, turn: Float[Tensor, "3 3"] | None = None) -> EnvironmentMap:

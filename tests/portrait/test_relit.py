@@ -13,9 +13,19 @@ from skylight.errors import InputError
 from skylight.faces._model import Region
 from skylight.faces._observe import SKIN_SPECULAR
 from skylight.imaging._edits import UNEDITED, Edit
-from skylight.portrait._gain import BRIGHTER, DARKER, HUE, bounded, level_of, soft_matte
+from skylight.portrait._gain import (
+    BRIGHTER,
+    DARKER,
+    HUE,
+    SkinColour,
+    Surface,
+    bounded,
+    colour_of,
+    level_of,
+    soft_matte,
+)
 from skylight.portrait._relit import MOST_SPECULAR, Keep, Portrait, shared_light, upright_irradiance
-from skylight.portrait._room import OTHER_BRIGHTER, OTHER_DARKER
+from skylight.portrait._room import OTHER_BRIGHTER, OTHER_DARKER, base_of
 from skylight.portrait._surface import (
     BUST,
     PersonSurface,
@@ -351,11 +361,13 @@ def test_highlights_without_colour_get_that_of_skin_as_they_get_darker() -> None
     one = portrait(old, pale)
     picture, _ = one.under(hard(-120.0), keep="place")
 
-    def red(of: np.ndarray) -> float:
-        return float(np.log(of[bright][:, 0] / of[bright][:, 2]).mean())
+    def red(of: np.ndarray, over: int) -> float:
+        return float(np.log(of[bright][:, 0] / of[bright][:, over]).mean())
 
-    assert red(pale) < red(seen) - 0.2
-    assert red(pale) + 0.5 * (red(seen) - red(pale)) < red(picture) < red(seen) + 0.1
+    for over in (1, 2):  # green too: a highlight that loses blue alone turns yellow, then green
+        lost = red(seen, over) - red(pale, over)
+        assert lost > 0.15
+        assert red(pale, over) + 0.85 * lost < red(picture, over) < red(seen, over) + 0.1
     assert np.abs(one.colour.lacks).max() <= HUE
 
 
@@ -503,3 +515,45 @@ def test_a_highlight_goes_with_its_light_and_with_no_other() -> None:
     np.testing.assert_array_equal(one.colour.without_highlights(0 * flat), 0)
     np.testing.assert_array_equal(one.colour.without_highlights(flat), 0)
     np.testing.assert_allclose(one.colour.without_highlights(-99 * flat), pale, rtol=1e-5)
+
+
+def near_white(exposure: np.ndarray, skin: np.ndarray, level: float | None) -> np.ndarray:
+    """A ramp of skin as a camera clips it, made darker by a logarithm: (h,w,3)."""
+    true = np.float32(exposure[None, :, None] * skin) * np.ones((60, 1, 1), np.float32)
+    seen = np.minimum(true, 1)
+    everywhere = np.ones(seen.shape[:2], np.float32)
+    on = Surface(bare=everywhere, face=everywhere, traced=everywhere, face_px=60.0)
+    base = base_of(seen, 1.0, 60.0)
+    if level is None:
+        return seen
+    colour = SkinColour.of(seen, base, everywhere, on)
+    return seen * np.exp(level + colour.out_of_white(np.full(base.shape, level, np.float32)))
+
+
+@pytest.mark.parametrize("skin", [(0.5, 0.3, 0.2), (0.5, 0.35, 0.3), (0.4, 0.2, 0.1)])
+def test_skin_out_of_white_keeps_its_hue_and_pales_evenly(skin: tuple[float, ...]) -> None:
+    """Red ends at white first, so that only to make it darker turns skin yellow and then green."""
+    albedo = np.array(skin, np.float32)
+    exposure = np.linspace(0.5, 1.3, 200) / albedo[0] ** 0.5 / albedo[1] ** 0.5
+    middle = np.s_[10:-10]
+
+    def colours(picture: np.ndarray) -> np.ndarray:
+        return colour_of(picture[30])[middle]
+
+    usual = colours(near_white(exposure, albedo, None))[0]
+    seen, relit = (colours(near_white(exposure, albedo, level)) for level in (None, -0.7))
+    across = np.cross(usual, LUMINANCE_)
+    across /= np.linalg.norm(across)
+    assert np.abs(seen @ across).max() > 0.08  # what the camera did
+    assert np.abs(relit @ across).max() < 0.5 * np.abs(seen @ across).max()
+    chroma = relit @ usual / np.linalg.norm(usual)
+    assert np.diff(chroma).max() < 2e-3
+    assert np.all(relit[:, 0] >= relit[:, 1] - 0.01)  # never greener than it is red
+
+
+def test_skin_below_white_and_a_light_that_stays_change_no_hue() -> None:
+    albedo = np.array([0.5, 0.3, 0.2], np.float32)
+    dim = np.linspace(0.2, 1.2, 100)
+    for exposure, level in ((dim, -0.7), (2 * dim, 0.0), (2 * dim, 0.3)):
+        relit, seen = (near_white(exposure, albedo, each) for each in (level, None))
+        np.testing.assert_allclose(relit, seen * np.exp(level), rtol=1e-5)

@@ -50,6 +50,7 @@ from skylight.portrait._gain import (
     BRIGHTER,
     DARKER,
     DARKEST,
+    EDGE_OF_WHITE,
     LUMINANCE_WEIGHTS,
     NEAR,
     REACH,
@@ -71,7 +72,6 @@ from skylight.portrait._relit import (
     portrait_of,
 )
 from skylight.portrait._room import (
-    EDGE_OF_WHITE,
     LEAST_ROOM,
     OTHER_BRIGHTER,
     OTHER_DARKER,
@@ -155,8 +155,9 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     of :mod:`skylight.portrait._keys` makes the ball, as ``ball`` is how bright the light found
     does. ``shading`` and ``glossy`` (m,3) are S_L and g_L, in colour.
     ``share`` is :meth:`~skylight.portrait._gain.Surface.share` of the crop, ``outline`` how its
-    outline leans (:mod:`skylight.portrait._edge`) and how far it has the colour of skin, ``pale``
-    of :class:`~skylight.portrait._gain.SkinColour`. ``hue`` and ``albedo`` are of
+    outline leans (:mod:`skylight.portrait._edge`), how far it has the colour of skin and how bright
+    the person is around, ``pale`` that and ``astray`` of
+    :class:`~skylight.portrait._gain.SkinColour`. ``hue`` and ``albedo`` are of
     :mod:`skylight.portrait._bounce`.
     """
     person = portrait.person
@@ -193,8 +194,10 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "picture": torch.cat([codes, matte[..., None]], 2).to(torch.uint8),
         "marks": torch.from_numpy(marks.round().clip(0, 255)).to(torch.uint8),
         "share": torch.from_numpy(within(portrait.on.share())),
-        "outline": torch.from_numpy(within(np.dstack([portrait.leaning, portrait.colour.alike]))),
-        "pale": torch.from_numpy(within(portrait.colour.pale)),
+        "outline": torch.from_numpy(
+            within(np.dstack([portrait.leaning, portrait.colour.alike, portrait.around]))
+        ),
+        "pale": torch.from_numpy(within(np.dstack([portrait.colour.pale, portrait.colour.astray]))),
         "places": torch.from_numpy((rows - top) * width + columns - left).int(),
         "normals": person.normals.float(),
         "views": -normalize(person.surface.positions[person.skin], dim=1).float(),
@@ -235,7 +238,9 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "behind": BEHIND,
         "metered": METERED,
         "grazing": GRAZING,
-        "sheen": SHEEN * math.sqrt(portrait.bright),
+        "sheen": SHEEN * portrait.bright,
+        "stray": max(portrait.veil * portrait.white, 1e-9),
+        "across": portrait.colour.across.tolist(),
         "unseen": _UNSEEN,
         "doubted": portrait.strength,
         "knee": KNEE,

@@ -222,10 +222,12 @@ def test_the_page_gets_the_outline_and_the_colours_of_skin(taken_apart: TakenApa
     facts, portrait = json.loads(metadata["facts"]), taken_apart.portrait
     left, top, width, height = facts["crop"]
     crop = np.s_[top : top + height, left : left + width]
-    want = np.dstack([portrait.leaning, portrait.colour.alike])[crop]
+    want = np.dstack([portrait.leaning, portrait.colour.alike, portrait.around])[crop]
     np.testing.assert_array_equal(tensors["outline"].numpy(), want)
     np.testing.assert_array_equal(tensors["share"].numpy(), portrait.on.share()[crop])
-    np.testing.assert_array_equal(tensors["pale"].numpy(), portrait.colour.pale[crop])
+    pale = np.dstack([portrait.colour.pale, portrait.colour.astray])[crop]
+    np.testing.assert_array_equal(tensors["pale"].numpy(), pale)
+    np.testing.assert_allclose(facts["across"], portrait.colour.across, rtol=1e-6)
     assert np.abs(want[..., :2]).max() > 0.9
     np.testing.assert_allclose(facts["lacks"], portrait.colour.lacks, rtol=1e-6)
     assert len(facts["lacks"]) == 16  # as many as the page's program has room for

@@ -141,6 +141,7 @@ export class Blur {
   /** The weight of the cells near each. */
   readonly below: Float32Array;
   private readonly scratch = new Scratch();
+  private readonly some: Uint8Array;
 
   constructor(
     private readonly width: number,
@@ -152,6 +153,7 @@ export class Blur {
     const bell = Float32Array.from({ length: 2 * radius + 1 }, (_, i) => Math.exp(-((i - radius) ** 2) / (2 * sigma ** 2)));
     const total = bell.reduce((sum, value) => sum + value, 0);
     this.kernel = bell.map((value) => value / total);
+    this.some = new Uint8Array(height + 2 * radius);
     this.below = this.summed(weights).map((weight) => Math.max(weight, 1e-6));
   }
 
@@ -168,7 +170,10 @@ export class Blur {
     const line = scratch.take("line", width + 2 * radius);
     const across = scratch.take("across", width * (height + 2 * radius));
     const out = scratch.take("out", width * height);
+    const some = this.some.fill(0); // rows without anything cost no time
     for (let row = 0; row < height; row++) {
+      if (isBlack(picture, row * width, width)) continue;
+      some[row + radius] = 1;
       for (let x = -radius; x < width + radius; x++)
         line[x + radius] = picture[row * width + reflected(x, width)]!;
       for (let x = 0, to = (row + radius) * width; x < width; x++, to++) {
@@ -179,16 +184,23 @@ export class Blur {
     }
     for (let y = 1; y <= radius; y++)
       for (const row of [-y, height - 1 + y]) {
-        const from = (reflected(row, height) + radius) * width;
-        across.copyWithin((row + radius) * width, from, from + width);
+        const from = reflected(row, height) + radius;
+        some[row + radius] = some[from]!;
+        across.copyWithin((row + radius) * width, from * width, (from + 1) * width);
       }
     out.fill(0);
     for (let row = 0; row < height; row++)
       for (let t = 0; t < kernel.length; t++) {
+        if (some[row + t] === 0) continue;
         const share = kernel[t]!;
         for (let x = 0, to = row * width, from = (row + t) * width; x < width; x++, to++, from++)
           out[to]! += share * across[from]!;
       }
     return out;
   }
+}
+
+function isBlack(picture: Float32Array, from: number, width: number): boolean {
+  for (let at = from; at < from + width; at++) if (picture[at] !== 0) return false;
+  return true;
 }

@@ -106,6 +106,8 @@ export class KeyLight {
   /** How many pixels of a cell are the face's; and how much of the cell is, with a soft border. */
   private readonly face: Float32Array;
   private readonly share: Float32Array;
+  /** By the light found, in luminance. */
+  private readonly found: { diffuse: Float32Array; glossy: Float32Array };
   /** Of the light found, `hollow` continued beyond the face. */
   private readonly before: Level;
 
@@ -128,7 +130,8 @@ export class KeyLight {
     person.share.forEach((share, at) => {
       this.share[(Math.floor(at / width) >> 1) * grid.width + ((at % width) >> 1)]! += share / pixels;
     });
-    const { level, hollow } = this.levelOf(luminances(shading), luminances(glossy));
+    this.found = { diffuse: luminances(shading), glossy: luminances(glossy) };
+    const { level, hollow } = this.levelOf(this.found.diffuse, this.found.glossy);
     this.before = { level, hollow: this.continued(hollow) };
   }
 
@@ -178,6 +181,7 @@ export class KeyLight {
    */
   under(azimuthDeg: number, zenithDeg: number, strength: number, sizeDeg: number): Lit {
     const { facts, occlusion, fillGloss } = this.person;
+    const { diffuse: ofFound, glossy: glossOfFound } = this.found;
     const towards = fromAngles(azimuthDeg, zenithDeg);
     const behind = Math.min(Math.max(towards[2] / facts.behind, 0), 1);
     const metered = ballWeight(towards) + facts.metered * behind;
@@ -186,13 +190,13 @@ export class KeyLight {
     // a disc's diameter is four spreads of a lobe
     const from = lobe(towards, (sizeDeg * Math.PI) / 180 / 4);
     const transport = this.transport(from);
-    const lightOf = (ofFill: Float32Array, ofFound: Float32Array, offset: number): Float32Array =>
+    const lightOf = (ofFill: Float32Array, found: Float32Array, offset: number): Float32Array =>
       ofFill.map((share, i) => {
-        const rest = (1 - behind) * share + (behind * ofFound[i]!) / facts.ball;
+        const rest = (1 - behind) * share + (behind * found[i]!) / facts.ball;
         return dimmed * facts.fill * (rest + before * transport[2 * i + offset]!);
       });
-    const diffuse = lightOf(occlusion, luminances(this.person.shading), 0);
-    const glossy = lightOf(fillGloss, luminances(this.person.glossy), 1);
+    const diffuse = lightOf(occlusion, ofFound, 0);
+    const glossy = lightOf(fillGloss, glossOfFound, 1);
     const after = this.levelOf(diffuse, glossy);
     const level = after.level.map((value, i) => value - this.before.level[i]!);
     let [sum, total] = [0, 0];

@@ -21,6 +21,8 @@ export interface Facts {
   /** Of skin: what hollows receive of the face, and its colour. */
   albedo: number;
   hue: Rgb;
+  /** Along which skin near white has strayed from the line from usual skin to white. */
+  across: Rgb;
   near: number;
   base: number;
   shine: number;
@@ -42,6 +44,7 @@ export interface Facts {
   metered: number;
   grazing: number;
   sheen: number;
+  stray: number;
   unseen: number;
   doubted: number;
   doubts: string[];
@@ -68,9 +71,9 @@ export interface Person {
   face: Float32Array;
   /** How much of a pixel of the crop is the face's. */
   share: Float32Array;
-  /** How the outline leans, to the right and up, and how far it has the colour of skin; of the crop's pixels. */
+  /** How the outline leans, to the right and up, and how far it has the colour of skin, and how bright the person is around; of the crop's pixels. */
   outline: Float32Array;
-  /** What highlights have too much of each channel, a logarithm; of the crop's pixels. */
+  /** What highlights have too much of each channel, and how far white skin has strayed, logarithms; of the crop's pixels. */
   pale: Float32Array;
   foundPower: Float32Array;
   foundMap: { width: number; height: number; data: Float32Array };

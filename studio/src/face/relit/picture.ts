@@ -15,9 +15,9 @@ uniform highp sampler2D photo, marks, gain, outline, pale;
 uniform vec2 size, from, extent, crop; // of the picture; and where the person's grid, and its crop, are in it
 uniform vec2 drawn; // pixels of the canvas
 uniform vec2 most, otherMost;
-uniform vec3 lacks[STEPS], hue;
+uniform vec3 lacks[STEPS], hue, across;
 uniform vec3 lamp; // behind the sitter
-uniform float edge, grazing, spread, sheen, soon;
+uniform float edge, grazing, spread, sheen, stray, soon;
 uniform float typical, doubted, other, range, knee;
 uniform float darkest, veil, leastRoom, shortOfWhite, edgeOfWhite, over; // of skylight.portrait._room
 uniform float before; // the share of the width, from the left, that is as it was photographed
@@ -39,7 +39,8 @@ void main() {
   // branches: where no graphics card is, most of the time goes into looking textures up
   if (at.x >= before * size.x && seen.a > 0.0) {
     vec3 scene = unedited(p);
-    vec3 leans = texture(outline, (at - from) / crop).rgb;
+    vec4 leans = texture(outline, (at - from) / crop); // how bright it is around, last
+    vec4 whiter = texture(pale, (at - from) / crop);
     vec3 mark = texture(marks, at / size).rgb;
     float hidden = range * (2.0 * mark.r - 1.0);
     float base = darkest * (1.0 - mark.g);
@@ -55,11 +56,13 @@ void main() {
     int step = min(int(place), STEPS - 2);
     vec3 tint = leans.b * (1.0 - exp(-abs(level - typical) / soon)) * mix(lacks[step], lacks[step + 1], place - float(step));
     tint += mark.b * doubted * (log(1.0 + change.g * (hue - 1.0)) - log(1.0 + change.b * (hue - 1.0)));
-    tint += (1.0 - exp(min(level - typical, 0.0) / soon)) * texture(pale, (at - from) / crop).rgb;
+    tint += (1.0 - exp(min(level - typical, 0.0) / soon)) * whiter.rgb;
+    tint -= (1.0 - exp(min(level, 0.0) / soon)) * whiter.a * across;
     float cosine = dot(leans.rg, lamp.xy) + sqrt(max(1.0 - dot(leans.rg, leans.rg), 0.0)) * lamp.z;
     float radius = 2.0 * spread, risen = clamp(cosine + radius, 0.0, 2.0 * radius);
+    float shown = max(dot(scene, vec3(0.2126, 0.7152, 0.0722)), 0.0);
     float sent = grazing * edge * (risen * risen / (4.0 * radius) + max(cosine - radius, 0.0));
-    vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a) + seen.a * seen.a * max(1.0 - exp(base + level), 0.0) * sent * (scene + sheen * sqrt(max(dot(scene, vec3(0.2126, 0.7152, 0.0722)), 0.0)));
+    vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a) + seen.a * seen.a * max(1.0 - exp(base + level), 0.0) * sent * (scene + sheen * shown / (leans.a + stray) * shown / (shown + stray));
     light = max(edited(person) + p - edited(scene), 0.0);
     vec3 k = clamp(p, knee, 1.0 - 1e-6);
     if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
@@ -129,9 +132,9 @@ export class RelitPicture {
     const [, , columns, rows] = facts.crop;
     number("crop", columns * across, rows * down);
     gl.activeTexture(gl.TEXTURE3);
-    gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.RGB32F : gl.RGB16F, columns, rows, 0, gl.RGB, gl.FLOAT, outline);
+    gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.RGBA32F : gl.RGBA16F, columns, rows, 0, gl.RGBA, gl.FLOAT, outline);
     gl.activeTexture(gl.TEXTURE4);
-    gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.RGB32F : gl.RGB16F, columns, rows, 0, gl.RGB, gl.FLOAT, pale);
+    gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.RGBA32F : gl.RGBA16F, columns, rows, 0, gl.RGBA, gl.FLOAT, pale);
     this.setConstants(facts, number);
     this.paint(1, 1);
   }
@@ -201,10 +204,12 @@ export class RelitPicture {
     number("shortOfWhite", facts.short);
     number("otherMost", ...facts.other_most);
     number("sheen", facts.sheen);
+    number("stray", facts.stray);
     number("grazing", facts.grazing);
     number("soon", facts.soon);
     this.gl.uniform3fv(this.uniform("lacks"), facts.lacks.flat());
     this.gl.uniform3f(this.uniform("hue"), ...facts.hue);
+    this.gl.uniform3f(this.uniform("across"), ...facts.across);
     number("edgeOfWhite", facts.edge_of_white);
     number("over", facts.over);
     number("knee", facts.knee);
