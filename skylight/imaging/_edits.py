@@ -17,6 +17,7 @@ this is straight.
 
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -36,6 +37,31 @@ def edited(
     shown = linear.clamp(min=_DARKEST) ** (1 / DISPLAY_GAMMA)
     luma = luminance(shown)[..., None]
     return (1 + k * (luma - 1) + s * (shown - luma)).clamp(min=0) ** DISPLAY_GAMMA
+
+
+def edited_changes(
+    linear: Float[Tensor, "b m 3"],
+    saturation: Float[Tensor, " b"],
+    contrast: Float[Tensor, " b"],
+    changes: Float[Tensor, "b j m 3"],
+) -> tuple[Float[Tensor, "b j m 3"], Float[Tensor, "b 2 m 3"]]:
+    """Derivatives of :func:`edited`: along ``changes`` of p, and by log s and log k.
+
+    With ``u = p'^(1/2.2)`` and ``dc = c dp / (2.2 p)`` they are ``2.2 u^1.2 du``, where du is
+    ``k Y(dc) + s (dc - Y(dc))``, and ``s (c - Y(c))`` and ``k (Y(c) - 1)``. What is darker than the
+    darkest that counts, or became 0, has none.
+    """
+    s, k = saturation[:, None, None], contrast[:, None, None]
+    inside = linear.clamp(min=_DARKEST)
+    shown = inside ** (1 / DISPLAY_GAMMA)
+    luma = luminance(shown)[..., None]
+    grey, hue = k * (luma - 1), s * (shown - luma)
+    slope = DISPLAY_GAMMA * (1 + grey + hue).clamp(min=0) ** (DISPLAY_GAMMA - 1)
+    of_shown = shown / (DISPLAY_GAMMA * inside) * (linear >= _DARKEST)
+    moved = changes * of_shown[:, None]
+    moved = s[:, None] * moved + ((k - s)[:, None] * luminance(moved)[..., None])
+    by_edits = torch.stack([hue, grey.expand_as(hue)], 1)
+    return slope[:, None] * moved, slope[:, None] * by_edits
 
 
 @dataclass(frozen=True, kw_only=True)

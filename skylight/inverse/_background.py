@@ -135,6 +135,20 @@ class BackgroundTerm:
         colours = (self.colours @ off) @ _OPPONENTS.to(off)
         return _SCALE * torch.cat([mean, colours.flatten(-2)], -1)
 
+    def deviation_changes(
+        self, seen: Float[Tensor, "b k 3"], changes: Float[Tensor, "b s k 3"]
+    ) -> Float[Tensor, "b s r"]:
+        """Derivatives of the :meth:`deviation` along ``changes`` of what is ``seen``."""
+        if self.grey:
+            seen = luminance(seen)[..., None].expand_as(seen)
+            changes = luminance(changes)[..., None].expand_as(changes)
+        off = (seen.clamp(min=0) + FLOOR).log() - (self.radiance + FLOOR).log()
+        kept = self.bounds & (off.mean(-1) @ self.whitened.T > 0)
+        slopes = changes * ((seen >= 0) / (seen.clamp(min=0) + FLOOR))[:, None]
+        mean = (slopes.mean(-1) @ self.whitened.T) * ~kept[:, None]
+        colours = (self.colours @ slopes) @ _OPPONENTS.to(slopes)
+        return _SCALE * torch.cat([mean, colours.flatten(-2)], -1)
+
     def cost(self, deviation: Float[Tensor, "*b r"]) -> Float[Tensor, "*b"]:
         """How unlikely the background is, in nats."""
         rows = deviation.shape[-1]

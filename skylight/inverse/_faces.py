@@ -200,8 +200,8 @@ class FaceTerm:
         return FaceTerm(
             target=_padded([term.target for term in terms]),
             share=_padded([term.share for term in terms]),
-            transport=SkyTransport(_padded([term.transport.folded for term in terms])),
-            specular=SkyTransport(_padded([one.folded for one in specular])) if specular else None,
+            transport=_scenes([term.transport for term in terms]),
+            specular=_scenes(specular) if specular else None,
             level=torch.cat([term.level for term in terms]),
             photo=first.photo,
             clipped=_padded(clipped) if any(bool(one.any()) for one in clipped) else None,
@@ -254,6 +254,20 @@ class FaceTerm:
         clipped = of_problem(self.clipped, problem)[..., None]
         return torch.where(clipped, deviation.clamp(max=0), deviation)
 
+    def deviation_changes(
+        self,
+        shading: Float[Tensor, "b m 3"],
+        changes: Float[Tensor, "b s m 3"],
+        problem: Int[Tensor, " b"] | None = None,
+    ) -> Float[Tensor, "b s m 3"]:
+        """Derivatives of the :meth:`deviation` along ``changes`` of the shading."""
+        along = self.seen(changes) / of_problem(self.level, problem)[:, None, None, None]
+        if self.clipped is None:
+            return along
+        brighter = self.seen(shading) > of_problem(self.target, problem)
+        kept = of_problem(self.clipped, problem)[..., None] & brighter
+        return along * ~kept[:, None]
+
     def data_term(
         self,
         shading: Float[Tensor, "b m 3"],
@@ -275,6 +289,11 @@ def of_problem(
 def _padded(parts: Sequence[Shaped[Tensor, "1 _ *s"]]) -> Shaped[Tensor, "p m *s"]:
     """With zeros after the end of the shorter ones."""
     return pad_sequence([part[0] for part in parts], batch_first=True)
+
+
+def _scenes(each: Sequence[SkyTransport]) -> SkyTransport:
+    """The transport of as many scenes, all of one kind of light."""
+    return SkyTransport(_padded([one.folded for one in each]), sphere=each[0].sphere)
 
 
 def data_term(

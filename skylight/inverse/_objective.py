@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from skylight.faces._skin import PIGMENT_COLOURS, PIGMENT_SPREADS
-from skylight.imaging._edits import edited
+from skylight.imaging._edits import edited, edited_changes
 from skylight.inverse._background import ROW_WEIGHT
 from skylight.inverse._faces import FaceTerm, ObjectiveWeights, Transported, Unpacked, of_problem
 from skylight.inverse._gauss_newton import charbonnier
@@ -35,6 +35,7 @@ from skylight.transport._reflection import shade_scenes
 # A free parameter of 1 is so many standard deviations of a turn: without, a turn's slope is so much
 # less than those of light and exposure that quasi-Newton steps do not reach it.
 TURN_STEP = 10.0
+MOST_EDIT = 2.0  # of log saturation and log contrast: a line search may try anything
 # Quadratic in free parameters: -log of normal densities about 0
 NORMAL_PRIORS = (
     "gloss_prior",
@@ -123,6 +124,10 @@ class LightObjective:
             self.below = GroundBelow(known_ground).to(device)
             self.broad = model.on_rows(self.below.HEIGHT)
         self.ground_prior = ground_prior(known_ground).to(device)
+        grey = [any(self.faces[k].grey for k in self.faces_of(n)) for n in range(self.photo_count)]
+        w = weights
+        counted = [[w.saturation_spread > 0 and not one, w.contrast_spread > 0] for one in grey]
+        self._edits_counted = torch.tensor(counted).to(self.faces[0].target)
         self.pigment_colours = torch.tensor(PIGMENT_COLOURS).to(self.faces[0].target)
         spreads = weights.pigment_spread * torch.tensor(PIGMENT_SPREADS)
         self.pigment_spreads = spreads.to(self.faces[0].target)[:, None]
@@ -294,6 +299,25 @@ class LightObjective:
             return picture
         return edited(picture, *self.edits(parts)[:, photo].unbind(1))
 
+    def camera_changes(
+        self,
+        parts: Unpacked,
+        photo: int,
+        radiance: Float[Tensor, "b m 3"],
+        changes: Float[Tensor, "b s m 3"],
+    ) -> tuple[Float[Tensor, "b s m 3"], Float[Tensor, "b 2 m 3"]]:
+        """Derivatives of the :meth:`camera_response`: along ``changes`` of the radiance, and by
+        the photograph's two edits."""
+        gains = parts.exposure[:, photo, None] * self.white_balance(parts)[:, photo]
+        picture, changes = gains[:, None] * radiance, gains[:, None, None] * changes
+        w = self.weights
+        if w.saturation_spread == w.contrast_spread == 0:
+            return changes, picture.new_zeros(len(picture), 2, *picture.shape[1:])
+        saturation, contrast = self.edits(parts)[:, photo].unbind(1)
+        along, by_edits = edited_changes(picture, saturation, contrast, changes)
+        free = (parts.edits[:, photo].abs() <= MOST_EDIT) * self._edits_counted[photo]
+        return along, by_edits * free[..., None, None]
+
     def behind(
         self, parts: Unpacked, light: tuple[Float[Tensor, "b n 3"], Float[Tensor, "b 3"]]
     ) -> dict[int, Float[Tensor, "b _"]]:
@@ -305,10 +329,7 @@ class LightObjective:
 
     def edits(self, parts: Unpacked) -> Float[Tensor, "b n 2"]:
         """Saturation and contrast of each photograph; a grey one has no saturation to change."""
-        w = self.weights
-        grey = [any(self.faces[k].grey for k in self.faces_of(n)) for n in range(self.photo_count)]
-        counts = [[w.saturation_spread > 0 and not one, w.contrast_spread > 0] for one in grey]
-        return (parts.edits.clamp(-2, 2) * parts.edits.new_tensor(counts)).exp()
+        return (parts.edits.clamp(-MOST_EDIT, MOST_EDIT) * self._edits_counted).exp()
 
     def ground_radiance(
         self, sky: Float[Tensor, "b n 3"], albedo: Float[Tensor, "b g"]
