@@ -26,6 +26,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from skylight.imaging._edits import PixelSlopes
 from skylight.inverse._faces import FaceTerm, Level, Transported, Unpacked, of_problem
 from skylight.inverse._gauss_newton import minimise_robust
 from skylight.inverse._lbfgs import minimise
@@ -87,22 +88,23 @@ def jacobian(
     def by_light(change: Float[Tensor, "b s _ 3"], into: Float[Tensor, "b q _ 3"]) -> None:
         into[:, :lit], into[:, size - below :] = change.split([lit, below], 1)
 
-    def by_camera(
-        photo: int, radiance: Float[Tensor, "b _ 3"], change: Float[Tensor, "b q _ 3"]
-    ) -> Float[Tensor, "b q _ 3"]:
-        """What all changes of the radiance do to the picture, and what the camera changes."""
+    def changes_of(radiance: Float[Tensor, "b _ 3"], photo: int) -> Float[Tensor, "b q _ 3"]:
+        """Room for what all unknowns change of it, with what exposure and gains do."""
+        shape = count, size, 3, radiance.shape[1]
+        change = free.new_zeros(shape).mT  # channels apart, as products make them
         at = lit + 5 * photo
         change[:, at : at + 3] = _gain_changes(objective, radiance)
-        seen, by_edits = objective.camera_changes(parts, photo, radiance, change)
-        seen[:, at + 3 : at + 5] = by_edits
-        return seen
+        return change
+
+    def edits_of(photo: int) -> slice:
+        return slice(lit + 5 * photo + 3, lit + 5 * photo + 5)
 
     blocks = []
     for k, face in enumerate(objective.faces):
         turns = objective.turns(parts, k)
         here = face.transported(*source, turns, problem)
         shaded = objective.shaded(parts, k, here, problem)
-        change = free.new_zeros(count, size, *shaded.shape[1:])
+        change = changes_of(shaded, face.photo)
         at = lit + photos + per_face * k
         of_skin = change[:, at : at + per_face]
         albedo = objective.albedo(parts, k, problem)[:, None]
@@ -115,7 +117,7 @@ def jacobian(
             per_mode = torch.einsum("bmdk,bmdc->bkmc", modes, vector)
             turn = TURN_STEP * objective.weights.normal_spread
             coloured = albedo * (here.diffuse + here.turned > 0)[:, None]
-            diffuse = diffuse.add_(along["turned"]).mul_(coloured)
+            diffuse = diffuse.mul_(coloured)
             of_skin[:, 4 : 4 + per_mode.shape[1]] = turn * per_mode * coloured
         else:
             diffuse = diffuse.mul_(albedo)
@@ -123,17 +125,23 @@ def jacobian(
             diffuse += along["specular"].mul_(parts.specular_scale[:, k, None, None, None])
         by_light(diffuse, change)
         _skin_changes(objective, parts, k, here, shaded, problem, into=of_skin)
-        seen = by_camera(face.photo, shaded, change)
+        slopes, by_edits = objective.camera_slopes(parts, face.photo, shaded)
         picture = objective.camera_response(parts, face.photo, shaded)
-        blocks.append(face.deviation_changes(picture, seen, problem).flatten(2))
+        block = face.deviation_slopes(picture, slopes, problem)(change)
+        itself = face.deviation_slopes(picture, PixelSlopes.unit(picture), problem)
+        block[:, edits_of(face.photo)] = itself(by_edits)
+        blocks.append(block.flatten(2))
     for photo, term in objective.backgrounds.items():
         shown = term.seen(*source)
-        change = free.new_zeros(count, size, *shown.shape[1:])
+        change = changes_of(shown, photo)
         moved = term.seen(skies.flatten(0, 1), grounds.flatten(0, 1))
         by_light(moved.unflatten(0, (count, -1)), change)
-        seen = by_camera(photo, shown, change)
+        slopes, by_edits = objective.camera_slopes(parts, photo, shown)
         picture = objective.camera_response(parts, photo, shown)
-        blocks.append(term.deviation_changes(picture, seen))
+        block = term.deviation_changes(picture, slopes, change)
+        itself = PixelSlopes.unit(picture)
+        block[:, edits_of(photo)] = term.deviation_changes(picture, itself, by_edits)
+        blocks.append(block)
     return torch.cat(blocks, 2).mT
 
 
@@ -204,15 +212,25 @@ def _transported(
     turns: Float[Tensor, "b k"] | None,
     problem: Int[Tensor, " b"] | None,
 ) -> dict[str, Float[Tensor, "b s m 3"]]:
-    """What s changes of each of b lights do to a face, whose normals are turned by so much."""
+    """What s changes of each of b lights do to a face, whose normals are turned by so much.
+
+    Where light on the whole sphere is no finer than what the turned normals see, T and what turns
+    add to it are one matrix.
+    """
     shape = skies.shape[:2]
     each = None if problem is None else problem.repeat_interleave(shape[1])
     flat = skies.flatten(0, 1), grounds.flatten(0, 1), each
-    fields = {"diffuse": face.transport.white(*flat).unflatten(0, shape)}
+    fields = {}
     if face.specular is not None:
         fields["specular"] = face.specular.white(*flat).unflatten(0, shape)
-    if face.normals is not None and turns is not None:
-        fields["turned"] = face.normals.turned(skies, grounds, turns, problem)
+    if face.normals is None or turns is None:
+        fields["diffuse"] = face.transport.white(*flat).unflatten(0, shape)
+    elif face.transport.sphere and face.normals.visible.shape == face.transport.folded.shape:
+        matrix = of_problem(face.transport.folded, problem) + face.normals.of_turns(turns, problem)
+        fields["diffuse"] = (skies.mT.flatten(1, 2) @ matrix.mT).unflatten(1, (-1, 3)).mT
+    else:
+        fields["diffuse"] = face.transport.white(*flat).unflatten(0, shape)
+        fields["diffuse"] += face.normals.turned(skies, grounds, turns, problem)
     return fields
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from skylight.imaging._edits import PixelSlopes
 from skylight.inverse._background import BackgroundTerm
 from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._scan import SCAN_HEIGHT
@@ -254,19 +255,19 @@ class FaceTerm:
         clipped = of_problem(self.clipped, problem)[..., None]
         return torch.where(clipped, deviation.clamp(max=0), deviation)
 
-    def deviation_changes(
+    def deviation_slopes(
         self,
         shading: Float[Tensor, "b m 3"],
-        changes: Float[Tensor, "b s m 3"],
+        slopes: PixelSlopes,
         problem: Int[Tensor, " b"] | None = None,
-    ) -> Float[Tensor, "b s m 3"]:
-        """Derivatives of the :meth:`deviation` along ``changes`` of the shading."""
-        along = self.seen(changes) / of_problem(self.level, problem)[:, None, None, None]
-        if self.clipped is None:
-            return along
-        brighter = self.seen(shading) > of_problem(self.target, problem)
-        kept = of_problem(self.clipped, problem)[..., None] & brighter
-        return along * ~kept[:, None]
+    ) -> PixelSlopes:
+        """Those of the :meth:`deviation`, of those that the shading has."""
+        scale = 1 / of_problem(self.level, problem)[:, None, None]
+        if self.clipped is not None:
+            brighter = self.seen(shading) > of_problem(self.target, problem)
+            kept = of_problem(self.clipped, problem)[..., None] & brighter
+            scale = scale * ~kept
+        return (slopes.grey() if self.grey else slopes).then(scale)
 
     def data_term(
         self,

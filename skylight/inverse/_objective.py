@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from skylight.faces._skin import PIGMENT_COLOURS, PIGMENT_SPREADS
-from skylight.imaging._edits import edited, edited_changes
+from skylight.imaging._edits import PixelSlopes, edited, edited_slopes
 from skylight.inverse._background import ROW_WEIGHT
 from skylight.inverse._faces import FaceTerm, ObjectiveWeights, Transported, Unpacked, of_problem
 from skylight.inverse._gauss_newton import charbonnier
@@ -299,24 +299,19 @@ class LightObjective:
             return picture
         return edited(picture, *self.edits(parts)[:, photo].unbind(1))
 
-    def camera_changes(
-        self,
-        parts: Unpacked,
-        photo: int,
-        radiance: Float[Tensor, "b m 3"],
-        changes: Float[Tensor, "b s m 3"],
-    ) -> tuple[Float[Tensor, "b s m 3"], Float[Tensor, "b 2 m 3"]]:
-        """Derivatives of the :meth:`camera_response`: along ``changes`` of the radiance, and by
-        the photograph's two edits."""
+    def camera_slopes(
+        self, parts: Unpacked, photo: int, radiance: Float[Tensor, "b m 3"]
+    ) -> tuple[PixelSlopes, Float[Tensor, "b 2 m 3"]]:
+        """Derivatives of the :meth:`camera_response`: by the radiance, and by the two edits."""
         gains = parts.exposure[:, photo, None] * self.white_balance(parts)[:, photo]
-        picture, changes = gains[:, None] * radiance, gains[:, None, None] * changes
-        w = self.weights
+        picture, w = gains[:, None] * radiance, self.weights
         if w.saturation_spread == w.contrast_spread == 0:
-            return changes, picture.new_zeros(len(picture), 2, *picture.shape[1:])
+            none = torch.zeros_like(picture)[:, None].expand(-1, 2, -1, -1)
+            return PixelSlopes.unit(picture).of(gains), none
         saturation, contrast = self.edits(parts)[:, photo].unbind(1)
-        along, by_edits = edited_changes(picture, saturation, contrast, changes)
+        slopes, by_edits = edited_slopes(picture, saturation, contrast)
         free = (parts.edits[:, photo].abs() <= MOST_EDIT) * self._edits_counted[photo]
-        return along, by_edits * free[..., None, None]
+        return slopes.of(gains), by_edits * free[..., None, None]
 
     def behind(
         self, parts: Unpacked, light: tuple[Float[Tensor, "b n 3"], Float[Tensor, "b 3"]]

@@ -273,16 +273,25 @@ def row_turns(
 
     With ``slope`` their derivatives along the azimuth.
     """
-    column = torch.arange(width, device=azimuth_rad.device)
-    order = column[: width // 2 + 1]
-    share = torch.where((order == 0) | (2 * order == width), 1, 2).to(azimuth_rad) / width
-    waves = 2 * math.pi / width * (order[:, None] * column % width).to(azimuth_rad)
+    like = azimuth_rad.dtype, azimuth_rad.device
+    order, share, cosines, sines, behind = _waves(width, *like)
     phase = azimuth_rad[..., None] * order
     cos, sin = share * phase.cos(), share * phase.sin()
     if slope:
         cos, sin = -order * sin, order * cos
-    turned_first = cos @ waves.cos() + sin @ waves.sin()
-    return turned_first[..., (column - column[:, None]) % width]
+    return (cos @ cosines + sin @ sines)[..., behind]
+
+
+@constant(8)
+def _waves(width: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    """Each wave's number along a row, its share, cosine and sine at each column, and by how many
+    columns each is behind each other."""
+    column = torch.arange(width, device=device)
+    order = column[: width // 2 + 1]
+    share = torch.where((order == 0) | (2 * order == width), 1, 2).to(dtype) / width
+    waves = 2 * math.pi / width * (order[:, None] * column % width).to(dtype)
+    behind = (column - column[:, None]) % width
+    return order.to(dtype), share, waves.cos(), waves.sin(), behind
 
 
 def turned(
