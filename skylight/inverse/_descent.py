@@ -26,11 +26,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from skylight.imaging._edits import PixelSlopes
+from skylight.imaging._edits import PixelSlopes, edited_slopes
 from skylight.inverse._faces import FaceTerm, Level, Transported, Unpacked, of_problem
 from skylight.inverse._gauss_newton import minimise_robust
 from skylight.inverse._lbfgs import minimise
-from skylight.inverse._objective import TURN_STEP, LightObjective
+from skylight.inverse._objective import MOST_EDIT, TURN_STEP, LightObjective
 from skylight.models._lobes import LampedLight
 
 _MOST_CHANGES = 512  # of the light at a time: a decoder has 1 MB of activations for each
@@ -125,7 +125,7 @@ def jacobian(
             diffuse += along["specular"].mul_(parts.specular_scale[:, k, None, None, None])
         by_light(diffuse, change)
         _skin_changes(objective, parts, k, here, shaded, problem, into=of_skin)
-        slopes, by_edits = objective.camera_slopes(parts, face.photo, shaded)
+        slopes, by_edits = _camera_slopes(objective, parts, face.photo, shaded)
         picture = objective.camera_response(parts, face.photo, shaded)
         block = face.deviation_slopes(picture, slopes, problem)(change)
         itself = face.deviation_slopes(picture, PixelSlopes.unit(picture), problem)
@@ -136,13 +136,28 @@ def jacobian(
         change = changes_of(shown, photo)
         moved = term.seen(skies.flatten(0, 1), grounds.flatten(0, 1))
         by_light(moved.unflatten(0, (count, -1)), change)
-        slopes, by_edits = objective.camera_slopes(parts, photo, shown)
+        slopes, by_edits = _camera_slopes(objective, parts, photo, shown)
         picture = objective.camera_response(parts, photo, shown)
         block = term.deviation_changes(picture, slopes, change)
         itself = PixelSlopes.unit(picture)
         block[:, edits_of(photo)] = term.deviation_changes(picture, itself, by_edits)
         blocks.append(block)
     return torch.cat(blocks, 2).mT
+
+
+def _camera_slopes(
+    objective: LightObjective, parts: Unpacked, photo: int, radiance: Float[Tensor, "b m 3"]
+) -> tuple[PixelSlopes, Float[Tensor, "b 2 m 3"]]:
+    """Derivatives of the picture: by radiance that photograph ``photo`` shows, and by its edits."""
+    gains = parts.exposure[:, photo, None] * objective.white_balance(parts)[:, photo]
+    picture, w = gains[:, None] * radiance, objective.weights
+    if w.saturation_spread == w.contrast_spread == 0:
+        none = torch.zeros_like(picture)[:, None].expand(-1, 2, -1, -1)
+        return PixelSlopes.unit(picture).of(gains), none
+    saturation, contrast = objective.edits(parts)[:, photo].unbind(1)
+    slopes, by_edits = edited_slopes(picture, saturation, contrast)
+    free = (parts.edits[:, photo].abs() <= MOST_EDIT) * objective.edits_counted[photo]
+    return slopes.of(gains), by_edits * free[..., None, None]
 
 
 def _gain_changes(

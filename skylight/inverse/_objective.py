@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from skylight.faces._skin import PIGMENT_COLOURS, PIGMENT_SPREADS
-from skylight.imaging._edits import PixelSlopes, edited, edited_slopes
+from skylight.imaging._edits import edited
 from skylight.inverse._background import ROW_WEIGHT
 from skylight.inverse._faces import FaceTerm, ObjectiveWeights, Transported, Unpacked, of_problem
 from skylight.inverse._gauss_newton import charbonnier
@@ -125,9 +125,8 @@ class LightObjective:
             self.broad = model.on_rows(self.below.HEIGHT)
         self.ground_prior = ground_prior(known_ground).to(device)
         grey = [any(self.faces[k].grey for k in self.faces_of(n)) for n in range(self.photo_count)]
-        w = weights
-        counted = [[w.saturation_spread > 0 and not one, w.contrast_spread > 0] for one in grey]
-        self._edits_counted = torch.tensor(counted).to(self.faces[0].target)
+        s, k = weights.saturation_spread > 0, weights.contrast_spread > 0
+        self.edits_counted = torch.tensor([[s and not one, k] for one in grey]).to(device)
         self.pigment_colours = torch.tensor(PIGMENT_COLOURS).to(self.faces[0].target)
         spreads = weights.pigment_spread * torch.tensor(PIGMENT_SPREADS)
         self.pigment_spreads = spreads.to(self.faces[0].target)[:, None]
@@ -299,20 +298,6 @@ class LightObjective:
             return picture
         return edited(picture, *self.edits(parts)[:, photo].unbind(1))
 
-    def camera_slopes(
-        self, parts: Unpacked, photo: int, radiance: Float[Tensor, "b m 3"]
-    ) -> tuple[PixelSlopes, Float[Tensor, "b 2 m 3"]]:
-        """Derivatives of the :meth:`camera_response`: by the radiance, and by the two edits."""
-        gains = parts.exposure[:, photo, None] * self.white_balance(parts)[:, photo]
-        picture, w = gains[:, None] * radiance, self.weights
-        if w.saturation_spread == w.contrast_spread == 0:
-            none = torch.zeros_like(picture)[:, None].expand(-1, 2, -1, -1)
-            return PixelSlopes.unit(picture).of(gains), none
-        saturation, contrast = self.edits(parts)[:, photo].unbind(1)
-        slopes, by_edits = edited_slopes(picture, saturation, contrast)
-        free = (parts.edits[:, photo].abs() <= MOST_EDIT) * self._edits_counted[photo]
-        return slopes.of(gains), by_edits * free[..., None, None]
-
     def behind(
         self, parts: Unpacked, light: tuple[Float[Tensor, "b n 3"], Float[Tensor, "b 3"]]
     ) -> dict[int, Float[Tensor, "b _"]]:
@@ -324,7 +309,7 @@ class LightObjective:
 
     def edits(self, parts: Unpacked) -> Float[Tensor, "b n 2"]:
         """Saturation and contrast of each photograph; a grey one has no saturation to change."""
-        return (parts.edits.clamp(-MOST_EDIT, MOST_EDIT) * self._edits_counted).exp()
+        return (parts.edits.clamp(-MOST_EDIT, MOST_EDIT) * self.edits_counted).exp()
 
     def ground_radiance(
         self, sky: Float[Tensor, "b n 3"], albedo: Float[Tensor, "b g"]
