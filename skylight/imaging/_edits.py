@@ -15,12 +15,13 @@ to 33 % without an edit), what an editor cuts off at white, and cameras' curves,
 this is straight.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.sphere._envmap import luminance
+from skylight.sphere._envmap import LUMINANCE, luminance
 
 DISPLAY_GAMMA = 2.2
 _DARKEST = 1e-6  # of the pivot: what is darker counts as that, so that slopes are finite
@@ -36,6 +37,66 @@ def edited(
     shown = linear.clamp(min=_DARKEST) ** (1 / DISPLAY_GAMMA)
     luma = luminance(shown)[..., None]
     return (1 + k * (luma - 1) + s * (shown - luma)).clamp(min=0) ** DISPLAY_GAMMA
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelSlopes:
+    """Derivatives J of three numbers of each pixel by three others: ``diag(own) + by a^T``.
+
+    Each of ``own``, ``by`` and ``along`` a is (b,m,3).
+    """
+
+    own: Float[Tensor, "b m 3"]
+    by: Float[Tensor, "b m 3"]
+    along: Float[Tensor, "b m 3"]
+
+    @staticmethod
+    def unit(like: Float[Tensor, "b m 3"]) -> "PixelSlopes":
+        """Of what stays as it is."""
+        none = torch.zeros_like(like)
+        return PixelSlopes(own=torch.ones_like(like), by=none, along=none)
+
+    def __call__(self, changes: Float[Tensor, "b j m 3"]) -> Float[Tensor, "b j m 3"]:
+        """J times each of j changes of all pixels."""
+        amount = (changes * self.along[:, None]).sum(-1, keepdim=True)
+        return torch.addcmul(amount * self.by[:, None], changes, self.own[:, None])
+
+    def of(self, gains: Float[Tensor, "b 3"]) -> "PixelSlopes":
+        """By what is multiplied by those first: J diag(gains)."""
+        gains = gains[:, None]
+        return replace(self, own=self.own * gains, along=self.along * gains)
+
+    def then(self, scale: Float[Tensor, "#b #m #c"]) -> "PixelSlopes":
+        """Of what is multiplied by those afterwards: diag(scale) J."""
+        return replace(self, own=self.own * scale, by=self.by * scale)
+
+    def grey(self) -> "PixelSlopes":
+        """Of the luminance, in all channels."""
+        weights = self.own.new_tensor(LUMINANCE)
+        along = weights * self.own + luminance(self.by)[..., None] * self.along
+        return PixelSlopes(own=torch.zeros_like(along), by=torch.ones_like(along), along=along)
+
+
+def edited_slopes(
+    linear: Float[Tensor, "b m 3"], saturation: Float[Tensor, " b"], contrast: Float[Tensor, " b"]
+) -> tuple[PixelSlopes, Float[Tensor, "b 2 m 3"]]:
+    """Derivatives of :func:`edited`: by the picture, and by log s and log k.
+
+    With ``u = p'^(1/2.2)`` they are ``2.2 u^1.2`` times those of u, which are
+    ``k Y(dc) + s (dc - Y(dc))`` with ``dc = c dp / (2.2 p)``, and ``s (c - Y(c))`` and
+    ``k (Y(c) - 1)``. What is darker than the darkest that counts, or became 0, has none.
+    """
+    s, k = saturation[:, None, None], contrast[:, None, None]
+    inside = linear.clamp(min=_DARKEST)
+    shown = inside ** (1 / DISPLAY_GAMMA)
+    luma = luminance(shown)[..., None]
+    grey, hue = k * (luma - 1), s * (shown - luma)
+    outer = DISPLAY_GAMMA * (1 + grey + hue).clamp(min=0) ** (DISPLAY_GAMMA - 1)
+    inner = shown / (DISPLAY_GAMMA * inside) * (linear >= _DARKEST)
+    slopes = PixelSlopes(
+        own=outer * s * inner, by=outer * (k - s), along=inner * inner.new_tensor(LUMINANCE)
+    )
+    return slopes, outer[:, None] * torch.stack([hue, grey.expand_as(hue)], 1)
 
 
 @dataclass(frozen=True, kw_only=True)

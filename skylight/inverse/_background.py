@@ -28,6 +28,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from skylight.imaging._edits import PixelSlopes
 from skylight.inverse._gauss_newton import CHARBONNIER_EPSILON, charbonnier
 from skylight.sphere._envmap import luminance
 from skylight.transport._background import Background
@@ -132,6 +133,25 @@ class BackgroundTerm:
         off = (seen.clamp(min=0) + FLOOR).log() - (self.radiance + FLOOR).log()
         mean = off.mean(-1) @ self.whitened.T
         mean = torch.where(self.bounds, mean.clamp(max=0), mean)
+        colours = (self.colours @ off) @ _OPPONENTS.to(off)
+        return _SCALE * torch.cat([mean, colours.flatten(-2)], -1)
+
+    def deviation_changes(
+        self,
+        seen: Float[Tensor, "b k 3"],
+        slopes: PixelSlopes,
+        changes: Float[Tensor, "b s k 3"],
+    ) -> Float[Tensor, "b s r"]:
+        """Derivatives of the :meth:`deviation` along ``changes`` of which what is ``seen`` has
+        those ``slopes``."""
+        if self.grey:
+            seen, slopes = luminance(seen)[..., None].expand_as(seen), slopes.grey()
+        shown = seen.clamp(min=0) + FLOOR
+        off = slopes.then((seen >= 0) / shown)(changes)
+        kept = self.bounds & (
+            (shown / (self.radiance + FLOOR)).log().mean(-1) @ self.whitened.T > 0
+        )
+        mean = (off.mean(-1) @ self.whitened.T) * ~kept[:, None]
         colours = (self.colours @ off) @ _OPPONENTS.to(off)
         return _SCALE * torch.cat([mean, colours.flatten(-2)], -1)
 

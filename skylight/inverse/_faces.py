@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from skylight.imaging._edits import PixelSlopes
 from skylight.inverse._background import BackgroundTerm
 from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._scan import SCAN_HEIGHT
@@ -200,8 +201,8 @@ class FaceTerm:
         return FaceTerm(
             target=_padded([term.target for term in terms]),
             share=_padded([term.share for term in terms]),
-            transport=SkyTransport(_padded([term.transport.folded for term in terms])),
-            specular=SkyTransport(_padded([one.folded for one in specular])) if specular else None,
+            transport=_scenes([term.transport for term in terms]),
+            specular=_scenes(specular) if specular else None,
             level=torch.cat([term.level for term in terms]),
             photo=first.photo,
             clipped=_padded(clipped) if any(bool(one.any()) for one in clipped) else None,
@@ -254,6 +255,20 @@ class FaceTerm:
         clipped = of_problem(self.clipped, problem)[..., None]
         return torch.where(clipped, deviation.clamp(max=0), deviation)
 
+    def deviation_slopes(
+        self,
+        shading: Float[Tensor, "b m 3"],
+        slopes: PixelSlopes,
+        problem: Int[Tensor, " b"] | None = None,
+    ) -> PixelSlopes:
+        """Those of the :meth:`deviation`, of those that the shading has."""
+        scale = 1 / of_problem(self.level, problem)[:, None, None]
+        if self.clipped is not None:
+            brighter = self.seen(shading) > of_problem(self.target, problem)
+            kept = of_problem(self.clipped, problem)[..., None] & brighter
+            scale = scale * ~kept
+        return (slopes.grey() if self.grey else slopes).then(scale)
+
     def data_term(
         self,
         shading: Float[Tensor, "b m 3"],
@@ -275,6 +290,11 @@ def of_problem(
 def _padded(parts: Sequence[Shaped[Tensor, "1 _ *s"]]) -> Shaped[Tensor, "p m *s"]:
     """With zeros after the end of the shorter ones."""
     return pad_sequence([part[0] for part in parts], batch_first=True)
+
+
+def _scenes(each: Sequence[SkyTransport]) -> SkyTransport:
+    """The transport of as many scenes, all of one kind of light."""
+    return SkyTransport(_padded([one.folded for one in each]), sphere=each[0].sphere)
 
 
 def data_term(

@@ -87,56 +87,62 @@ def minimise_robust(
     corrected = ~stale  # change is not the Jacobian itself
     moving = stale.clone()
     damping = x.new_full((count,), FIRST_DAMPING)
-    used, rejected = torch.zeros(count, dtype=torch.long), torch.zeros(count, dtype=torch.long)
+    used, rejected = torch.zeros_like(every), torch.zeros_like(every)
     for _ in range(iterations):
-        which = moving.nonzero()[:, 0]
-        new = which[stale[which]]
-        if len(new):
-            change[new] = jacobian(x[new], new)
-            stale[new] = corrected[new] = False
-        new = which[moved[which]]
-        if len(new):
+        # the one answer that is waited for: what is computed, and of which starts
+        flags = torch.stack([moving, moving & stale, moving & moved]).cpu()
+        which, outdated, elsewhere = (flag.nonzero()[:, 0].to(x.device) for flag in flags)
+        if len(which) == 0:
+            break
+        if len(outdated):
+            change[outdated] = jacobian(x[outdated], outdated)
+            stale[outdated] = corrected[outdated] = False
+        if len(elsewhere):
+            new = elsewhere
             slope, hessian = shape(x[new], new) if shape else convex_shape(prior, x[new], new)
             along, off = change[new], r[new]
             curved = along * (weights[new] / charbonnier(off))[:, :, None]
-            slopes[new] = slope.double() + (off[:, None] @ curved)[:, 0].double()
-            hessians[new] = hessian.double() + (along.mT @ curved).double()
-            # a start where nothing is finite stays where it is
-            usable = slopes[new].isfinite().all(1) & hessians[new].isfinite().all(2).all(1)
+            slope = slope.double() + (off[:, None] @ curved)[:, 0].double()
+            hessian = hessian.double() + (along.mT @ curved).double()
+            # a start where nothing is finite stays where it is: its step is 0
+            usable = slope.isfinite().all(1) & hessian.isfinite().all(2).all(1)
+            slopes[new] = torch.where(usable[:, None], slope, 0.0)
+            hessians[new] = torch.where(usable[:, None, None], hessian, 0.0)
             moved[new], moving[new] = False, usable
-            which = which[moving[which]]
-        if len(which) == 0:
-            break
-        at, slope, hessian = x[which], slopes[which], hessians[which]
+        at, slope, hessian, tries = x[which], slopes[which], hessians[which], moving[which]
         diagonal = hessian.diagonal(dim1=1, dim2=2).clamp(min=1e-6)
         damped = hessian + torch.diag_embed(damping[which, None].double() * diagonal)
-        step = -torch.linalg.solve(damped, slope[..., None])[..., 0].to(x)
+        step = -torch.linalg.solve_ex(damped, slope[..., None])[0][..., 0].to(x)
         trial = at + step
         tried = residuals(trial, which)
         value = loss_of(trial, which, tried)
-        better = value < loss[which]
-        used[which.cpu()] += 1
-        rejected[which.cpu()] += (~value.isfinite()).long().cpu()
+        better = tries & (value < loss[which])
+        used[which] += tries.long()
+        rejected[which] += (tries & ~value.isfinite()).long()
         settled = better & (loss[which] - value <= tolerance * loss[which].abs())
         damping[which] *= torch.where(better, LESS, MORE)
-        good, bad = which[better], which[~better]
         if broyden:
-            dx, dr = step[better], tried[better] - r[good]
-            missed = dr - (change[good] @ dx[:, :, None])[:, :, 0]
-            along = dx / dx.square().sum(1, keepdim=True).clamp(min=1e-30)
-            change.index_add_(0, good, missed[:, :, None] * along[:, None])
-            corrected[good] = True
-            stale[bad] = moved[bad] = corrected[bad]
+            missed = tried - r[which] - (change[which] @ step[:, :, None])[:, :, 0]
+            missed = torch.where(better[:, None], missed, 0.0)
+            along = step / step.square().sum(1, keepdim=True).clamp(min=1e-30)
+            along = torch.where(better[:, None], along, 0.0)
+            change.index_add_(0, which, missed[:, :, None] * along[:, None])
+            again = ~better & corrected[which]
+            stale[which] |= again
+            moved[which] = better | again
+            corrected[which] |= better
         else:
-            stale[good] = True
-        x[good], r[good], loss[good] = trial[better], tried[better], value[better]
-        moved[good] = True
-        moving[which] = ~(settled | (damping[which] > 1e8))
+            stale[which] |= better
+            moved[which] = better
+        x[which] = torch.where(better[:, None], trial, at)
+        r[which] = torch.where(better[:, None], tried, r[which])
+        loss[which] = torch.where(better, value, loss[which])
+        moving[which] = tries & ~(settled | (damping[which] > 1e8))
     return Minimum(
         x=x,
         loss=loss,
         converged=~moving,
-        iterations=used.to(x.device),
-        evaluations=used.to(x.device),
-        nonfinite=rejected.to(x.device),
+        iterations=used,
+        evaluations=used,
+        nonfinite=rejected,
     )

@@ -71,7 +71,10 @@ class Pursuit:
         more = torch.arange(count, device=best.device).repeat(len(best))
         grown = torch.cat([best.repeat_interleave(count, 0), more[:, None]], 1).sort(1).values
         grown = grown[(grown[:, 1:] > grown[:, :-1]).all(1)]
-        grown = grown.unique(dim=0)
+        # a set as one number: rows as such are compared one by one
+        place = count ** torch.arange(grown.shape[1], device=best.device).flip(0)
+        numbers = (grown * place).sum(1).unique()
+        grown = numbers[:, None] // place % count
         self._grown.append((grown, self._left(grown)))
 
     def best(self, count: int, size: int | None = None) -> LampSets:

@@ -14,6 +14,8 @@ from skylight.inverse._gauss_newton import Prior, charbonnier
 
 _SWEEPS = 3  # of coordinate descent, after which few pivots are left
 _PIVOTS = 4  # of all problems together; what is left then is solved one by one
+# Of 22 unknowns one takes a core 22 us by itself, 27 to 45 by pivots; of 4 it is 6 us and 1
+_FEW = 8
 
 
 def nnls(
@@ -35,7 +37,7 @@ def nnls(
     should be of one order. A slope of less than 1e-9 of the largest ``|r|`` counts as 0.
     Unknowns whose row and right side are zero are 0. Computed in double precision. Where columns
     are nearly dependent, exchanges may cycle: problems that are left after 4 are solved by an
-    active set method, one by one.
+    active set method, one by one. So are on a CPU all of more than :data:`_FEW` unknowns.
     """
     whole, wanted = gram.double(), right.double()
     diagonal = whole.diagonal(dim1=1, dim2=2)
@@ -44,6 +46,8 @@ def nnls(
     else:
         ridge = 1e-6 * diagonal.amax(1, keepdim=True)
     whole = whole + torch.diag_embed(ridge + (diagonal <= 0))
+    if right.shape[1] > _FEW and right.device.type == "cpu":
+        return (_by_active_set(whole, wanted) * (diagonal > 0)).to(right)
     limit = 1e-9 * wanted.abs().amax(1, keepdim=True)
     free = _descended(whole, wanted, start) > 0
     solution = torch.zeros_like(wanted)
@@ -52,12 +56,13 @@ def nnls(
         chosen = free.double()
         system = whole * chosen[:, :, None] * chosen[:, None]
         system.diagonal(dim1=1, dim2=2).add_(1 - chosen)
-        x = torch.linalg.solve(system, (wanted * chosen)[..., None])
+        root, failed = torch.linalg.cholesky_ex(system)
+        x = torch.cholesky_solve((wanted * chosen)[..., None], root)
         slope = (whole @ x)[..., 0] - wanted
         x = x[..., 0]
         wrong = torch.where(free, x * diagonal < -limit, slope < -limit)
         solution[rows] = x.clamp(min=0)
-        left = wrong.any(1)
+        left = wrong.any(1) | (failed > 0)
         if not bool(left.any()):
             break
         free, whole, wanted, diagonal, limit, rows = (
@@ -72,12 +77,14 @@ def _descended(
     gram: Float[Tensor, "b k k"], right: Float[Tensor, "b k"], start: Float[Tensor, "b k"] | None
 ) -> Float[Tensor, "b k"]:
     """Each unknown in turn at its best for the others, several times."""
-    x = torch.zeros_like(right) if start is None else start.to(right, copy=True)
+    rows, wanted = gram.permute(1, 2, 0).contiguous(), right.T  # unknowns first: whole rows
+    x = torch.zeros_like(wanted) if start is None else start.T.to(wanted)
+    x = x.clone(memory_format=torch.contiguous_format)
     for _ in range(_SWEEPS):
-        for k in range(right.shape[1]):
-            slope = (gram[:, k] * x).sum(1) - right[:, k]
-            x[:, k] = (x[:, k] - slope / gram[:, k, k]).clamp(min=0)
-    return x
+        for k, row in enumerate(rows):
+            slope = (row * x).sum(0) - wanted[k]
+            x[k] = (x[k] - slope / row[k]).clamp(min=0)
+    return x.T
 
 
 def _by_active_set(
@@ -85,18 +92,22 @@ def _by_active_set(
 ) -> Float[Tensor, "b k"]:
     """Each by itself on the CPU, as min |R x - y| with G = R^T R and R^T y = r.
 
-    Eigenvalues that rounding made negative, or almost 0, are 1e-10 of the largest.
+    R is Cholesky's factor. Where rounding made eigenvalues negative there is none: those, or almost
+    0, are 1e-10 of the largest.
     """
     from scipy.optimize import nnls as active_set  # takes 0.2 s to import, and is seldom called
 
     # all at once: a GPU would wait for the CPU at every one of thousands of small problems
-    values, vectors = torch.linalg.eigh(gram.cpu())
-    scales = values.clamp(min=1e-10 * values[:, -1:]).sqrt()
-    roots = scales[:, :, None] * vectors.mT
-    y = (vectors.mT @ right.cpu()[..., None])[..., 0] / scales
+    gram, target = gram.cpu(), right.cpu()[..., None]
+    lower, failed = torch.linalg.cholesky_ex(gram)
+    roots, y = lower.mT, torch.linalg.solve_triangular(lower, target, upper=False)
+    indefinite = failed > 0
+    values, vectors = torch.linalg.eigh(gram[indefinite])
+    scales = values.clamp(min=1e-10 * values[:, -1:]).sqrt()[..., None]
+    roots[indefinite], y[indefinite] = scales * vectors.mT, vectors.mT @ target[indefinite] / scales
     found = [
-        active_set(root, target, maxiter=100 * right.shape[1])[0]
-        for root, target in zip(roots.numpy(), y.numpy(), strict=True)
+        active_set(root, aim, maxiter=100 * right.shape[1])[0]
+        for root, aim in zip(roots.numpy(), y[..., 0].numpy(), strict=True)
     ]
     return torch.from_numpy(np.stack(found)).to(right)
 

@@ -35,6 +35,7 @@ from skylight.transport._reflection import shade_scenes
 # A free parameter of 1 is so many standard deviations of a turn: without, a turn's slope is so much
 # less than those of light and exposure that quasi-Newton steps do not reach it.
 TURN_STEP = 10.0
+MOST_EDIT = 2.0  # of log saturation and log contrast: a line search may try anything
 # Quadratic in free parameters: -log of normal densities about 0
 NORMAL_PRIORS = (
     "gloss_prior",
@@ -123,6 +124,9 @@ class LightObjective:
             self.below = GroundBelow(known_ground).to(device)
             self.broad = model.on_rows(self.below.HEIGHT)
         self.ground_prior = ground_prior(known_ground).to(device)
+        grey = [any(self.faces[k].grey for k in self.faces_of(n)) for n in range(self.photo_count)]
+        s, k = weights.saturation_spread > 0, weights.contrast_spread > 0
+        self.edits_counted = torch.tensor([[s and not one, k] for one in grey]).to(device)
         self.pigment_colours = torch.tensor(PIGMENT_COLOURS).to(self.faces[0].target)
         spreads = weights.pigment_spread * torch.tensor(PIGMENT_SPREADS)
         self.pigment_spreads = spreads.to(self.faces[0].target)[:, None]
@@ -305,10 +309,7 @@ class LightObjective:
 
     def edits(self, parts: Unpacked) -> Float[Tensor, "b n 2"]:
         """Saturation and contrast of each photograph; a grey one has no saturation to change."""
-        w = self.weights
-        grey = [any(self.faces[k].grey for k in self.faces_of(n)) for n in range(self.photo_count)]
-        counts = [[w.saturation_spread > 0 and not one, w.contrast_spread > 0] for one in grey]
-        return (parts.edits.clamp(-2, 2) * parts.edits.new_tensor(counts)).exp()
+        return (parts.edits.clamp(-MOST_EDIT, MOST_EDIT) * self.edits_counted).exp()
 
     def ground_radiance(
         self, sky: Float[Tensor, "b n 3"], albedo: Float[Tensor, "b g"]

@@ -38,6 +38,7 @@ tuned by hand on development faces: ``sun_gain`` and the ``..._spread``.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -54,6 +55,7 @@ from skylight.inverse._sun_prior import FLOOR, SunPrior
 from skylight.models._base import Prior
 from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid, squared_chords
+from skylight.sphere._row_kernels import RowKernels
 from skylight.transport._observation import Observation
 
 SHARE = 0.9
@@ -224,7 +226,8 @@ def sun_density(
     cells, fine = _scan_grid(evidence), density_grid(evidence)
     nats = (evidence.deviations - evidence.deviations.min()) / model.temperature
     spread = _kernel(model.kernel_rad, fine.is_sphere)
-    density = spread @ (torch.exp(-nats) * cells.solid_angles)
+    # no lobe is negative, but what Fourier transforms round may be
+    density = spread.spread(torch.exp(-nats) * cells.solid_angles).clamp(min=0)
     if estimate is not None:
         lobe = _lobes(fine, estimate[None], model.estimate_rad)[:, 0]
         density = density * (1 + model.estimate_height * lobe) ** model.estimate_weight
@@ -273,12 +276,13 @@ def credible(evidence: SunEvidence, sun_prior: SunPrior | None) -> SunPrior | No
 
 
 @constant(2)
-def _kernel(spread_rad: float, sphere: bool) -> Float[Tensor, "n k"]:
+def _kernel(spread_rad: float, sphere: bool) -> RowKernels:
     """Lobes about the scan's cells at the density's directions."""
     if sphere:
-        cells = DirectionGrid.latlong(ROWS)
-        return _lobes(cells, cells.directions, spread_rad)
-    return _lobes(DirectionGrid.sky(ROWS), DirectionGrid.sky(ROWS // 2).directions, spread_rad)
+        fine = cells = DirectionGrid.latlong(ROWS)
+    else:
+        fine, cells = DirectionGrid.sky(ROWS), DirectionGrid.sky(ROWS // 2)
+    return RowKernels.of(partial(_lobes, spread_rad=spread_rad), fine, cells)
 
 
 def _lobes(

@@ -35,7 +35,6 @@ from skylight.inverse._least_squares import nnls
 from skylight.inverse._sun_prior import SunPrior
 from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid
-from skylight.transport._matrix import TransportMatrix
 from skylight.transport._observation import Observation
 
 SCAN_HEIGHT = 32
@@ -178,14 +177,14 @@ def scan_faces(
 
 @dataclass(frozen=True, kw_only=True)
 class _SunProblem:
-    """min_{x >= 0} |y - sum_g suns[g, :, d] x_g - ambient x|^2 for each direction d of a face.
+    """min_{x >= 0} |y - sum_g suns[d, g] x_g - ambient x|^2 for each direction d of a face.
 
     The last two of the n directions are no sun, and a lamp at the camera instead of one (or no sun
     again, where an observation has no such lamp). All is scaled by ``root``, of the weights; the
     suns and the ambient light have unit norm, from their ``norms``.
     """
 
-    suns: Float[Tensor, "g m n"]
+    suns: Float[Tensor, "n g m"]
     ambient: Float[Tensor, "m j"]
     norms: Float[Tensor, "n k"]
     y: Float[Tensor, " m"]
@@ -204,35 +203,29 @@ class _SunProblem:
         sources = torch.arange(len(grid) if sphere else len(grid) // 2, device=root.device)
         if rows is not None:
             sources = sources[rows[:-2]]
-
-        lamp = observation.camera_lamp
-        if lamp is None:
-            lamp = torch.zeros(len(root), 2).to(root)
-        lamp = lamp.double() * root[:, None]
-
-        def suns(transport: TransportMatrix, group: int) -> Float[Tensor, "m n_2"]:
-            """One problem for each direction, one without a sun, and one with the camera's lamp."""
-            some = transport.matrix[:, sources].double() * root[:, None]
-            return torch.cat([pad(some, (0, 1)), lamp[:, group, None]], 1)
-
-        lobes = _ambient_lobes(grid).to(root)
-        groups = [suns(coarse.transport, 0)]
+        groups = [coarse.transport]
         if coarse.specular is not None:
-            groups.append(suns(coarse.specular, 1))
+            groups.append(coarse.specular)
+        # one problem for each direction, one without a sun, and one with the camera's lamp
+        suns = root.new_zeros(len(sources) + 2, len(groups), len(root))
+        for group, transport in enumerate(groups):
+            suns[:-2, group] = transport.matrix[:, sources].T.contiguous() * root
+            if observation.camera_lamp is not None:
+                suns[-1, group] = observation.camera_lamp[:, group] * root
         clipped = torch.zeros_like(root, dtype=torch.bool)
         if observation.clipped is not None:
             clipped = observation.clipped
-        every = torch.stack(groups)
+        lobes = _ambient_lobes(grid).to(root)
         ambient = coarse.transport.matrix.double() @ lobes * root[:, None]
-        sun_norms, ambient_norms = _norms(every), _norms(ambient)
+        sun_norms, ambient_norms = _norms(suns.mT), _norms(ambient)
         return _SunProblem(
-            suns=every / sun_norms[:, None],
+            suns=suns.div_(sun_norms[..., None]),
             ambient=ambient / ambient_norms,
-            norms=torch.cat([sun_norms.T, ambient_norms.expand(every.shape[2], -1)], 1),
+            norms=torch.cat([sun_norms, ambient_norms.expand(len(suns), -1)], 1),
             y=luminance(observation.pixels).double() * root,
             root=root,
             clipped=clipped,
-            normals=_NormalErrors.of(observation, every[0], ambient, lobes, sources),
+            normals=_NormalErrors.of(observation, sun_norms[:-2, 0], ambient_norms, lobes, sources),
         )
 
     def among(self, rows: Int[Tensor, " j"]) -> "_SunProblem":
@@ -243,31 +236,36 @@ class _SunProblem:
         if normals is not None:
             there = normals.directions[rows]
             normals = replace(normals, suns=normals.suns[rows], directions=there)
-        return replace(self, suns=self.suns[..., rows], norms=self.norms[rows], normals=normals)
+        return replace(self, suns=self.suns[rows], norms=self.norms[rows], normals=normals)
+
+    @property
+    def groups(self) -> int:
+        """How many parts a sun has: scattered, and mirrored where that is known."""
+        return self.suns.shape[1]
 
     @property
     def unknowns(self) -> int:
-        return len(self.suns) + self.ambient.shape[1]
+        return self.groups + self.ambient.shape[1]
 
     def gram(self) -> Float[Tensor, "n k k"]:
-        suns, ambient, g = self.suns, self.ambient, len(self.suns)
-        gram = self.y.new_zeros(suns.shape[2], self.unknowns, self.unknowns)
-        gram[:, :g, :g] = torch.einsum("gmn,hmn->ngh", suns, suns)
-        gram[:, :g, g:] = torch.einsum("gmn,mj->ngj", suns, ambient)
-        gram[:, g:, :g] = gram[:, :g, g:].transpose(1, 2)
+        suns, ambient, g = self.suns, self.ambient, self.groups
+        gram = self.y.new_empty(len(suns), self.unknowns, self.unknowns)
+        gram[:, :g, :g] = suns @ suns.mT
+        gram[:, :g, g:] = suns @ ambient
+        gram[:, g:, :g] = gram[:, :g, g:].mT
         gram[:, g:, g:] = ambient.T @ ambient
         return gram
 
     def right(self) -> Float[Tensor, "n k"]:
-        ambient = (self.ambient.T @ self.y).expand(self.suns.shape[2], -1)
-        return torch.cat([torch.einsum("gmn,m->ng", self.suns, self.y), ambient], 1)
+        ambient = (self.ambient.T @ self.y).expand(len(self.suns), -1)
+        return torch.cat([self.suns @ self.y, ambient], 1)
 
     def with_bounds_at(
         self, x: Float[Tensor, "n k"], added: Float[Tensor, "n m"] | None = None
     ) -> Float[Tensor, "n m"]:
         """y of each direction where lower bounds are what x, and what is added to it, explains."""
-        g = len(self.suns)
-        shaded = torch.einsum("gmn,ng->nm", self.suns, x[:, :g]) + x[:, g:] @ self.ambient.T
+        g = self.groups
+        shaded = (x[:, None, :g] @ self.suns)[:, 0] + x[:, g:] @ self.ambient.T
         if added is not None:
             shaded = shaded + added
         return torch.where(self.clipped, torch.maximum(self.y, shaded), self.y)
@@ -276,12 +274,12 @@ class _SunProblem:
         self, x: Float[Tensor, "n k"]
     ) -> tuple[Float[Tensor, "n k"], Float[Tensor, " n"]]:
         """What y adds to the right side and to y^2 where it is raised to what x explains."""
-        g, high = len(self.suns), self.clipped
-        suns, ambient, bound = self.suns[:, high], self.ambient[high], self.y[high]
-        shaded = torch.einsum("gmn,ng->mn", suns, x[:, :g]) + ambient @ x[:, g:].T
-        excess = (shaded - bound[:, None]).clamp(min=0)
-        more = torch.cat([torch.einsum("gmn,mn->ng", suns, excess), excess.T @ ambient], 1)
-        return more, (excess * (excess + 2 * bound[:, None])).sum(0)
+        g, high = self.groups, self.clipped
+        suns, ambient, bound = self.suns[..., high], self.ambient[high], self.y[high]
+        shaded = (x[:, None, :g] @ suns)[:, 0] + x[:, g:] @ ambient.T
+        excess = (shaded - bound).clamp(min=0)
+        more = torch.cat([(suns @ excess[..., None])[..., 0], excess @ ambient], 1)
+        return more, (excess * (excess + 2 * bound)).sum(1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,12 +300,12 @@ class _NormalErrors:
     @staticmethod
     def of(
         observation: Observation,
-        diffuse: Float[Tensor, "m n_2"],
-        shaded: Float[Tensor, "m j"],
+        sun_norms: Float[Tensor, " n"],
+        ambient_norms: Float[Tensor, " j"],
         lobes: Float[Tensor, "n2 j"],
         sources: Int[Tensor, " n"],
     ) -> "_NormalErrors | None":
-        """None where normals are known."""
+        """Of the problem with those norms, of scattered light; None where normals are known."""
         errors = observation.normal_modes
         if errors is None:
             return None
@@ -315,19 +313,18 @@ class _NormalErrors:
         weights = observation.weights
         visible = errors.visible * weights.sqrt()[:, None]
         ambient = torch.stack([lobes.to(visible).T @ (visible * a).T for a in directions.T])
-        norms = _norms(shaded).to(visible)
-        suns = visible[:, sources] / _norms(diffuse[:, :-2]).to(visible)
+        suns = visible.new_zeros(len(sources) + 2, len(weights))
+        suns[:-2] = visible[:, sources].T.contiguous() / sun_norms.to(visible)[:, None]
         level = weights @ luminance(observation.pixels)
         towards = directions.new_tensor([[0.0, 0.0, 1.0]])  # the camera
-        lamp = torch.zeros_like(weights)
         if observation.camera_lamp is not None:
             diffuse_lamp = observation.camera_lamp[:, 0] * weights.sqrt()
-            lamp = weights.sqrt() / diffuse_lamp.norm().clamp(min=1e-12)
+            suns[-1] = weights.sqrt() / diffuse_lamp.norm().clamp(min=1e-12)
         return _NormalErrors(
             modes=errors.modes.permute(1, 2, 0).contiguous(),
-            suns=torch.cat([pad(suns, (0, 1)), lamp[:, None]], 1).T.contiguous(),
+            suns=suns,
             directions=torch.cat([directions[sources], towards.expand(2, -1)]),
-            ambient=ambient / norms[:, None],
+            ambient=ambient / ambient_norms.to(visible)[:, None],
             cost=NORMAL_COST * float(level**2 / weights.sum()),
         )
 
@@ -374,15 +371,15 @@ class _Explained:
             unexplained=unexplained[:-2],
             without_sun=float(unexplained[-2]),
             camera_lit=float(unexplained[-1]),
-            strengths=(self.x[:, 0] * (one.suns[0].sum(0) / one.y.sum()))[:-2],
+            strengths=(self.x[:, 0] * (one.suns[:, 0].sum(1) / one.y.sum()))[:-2],
             deviations=self.deviations() / one.root.clamp(min=1e-12),
             solution=self.x / one.norms,
         )
 
     def deviations(self) -> Float[Tensor, " m"]:
         """Seen less best explained; none where a bound is kept."""
-        one, g = self.problem, len(self.problem.suns)
-        shaded = one.suns[:, :, self.best].T @ self.x[self.best, :g]
+        one, g = self.problem, self.problem.groups
+        shaded = self.x[self.best, :g] @ one.suns[self.best]
         left = one.y - shaded - one.ambient @ self.x[self.best, g:]
         if self.added is not None:
             left = left - self.added
@@ -461,7 +458,6 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"], rounds: int) ->
     count, bounded = len(explained.x), bool(one.clipped.any())
     block = _BLOCK if seen.device.type == "cpu" else count
     single = replace(one, suns=one.suns.to(seen), ambient=one.ambient.to(seen), y=seen)
-    suns = single.suns.permute(2, 0, 1).contiguous()  # as products of batches want them
     gram = gram.to(seen)
     x, y = explained.x.to(seen), seen.expand(count, -1)
     if bounded:
@@ -473,12 +469,10 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"], rounds: int) ->
     if rounds > 1 and count > FURTHER + 2:
         best = found["squared"][:-2].argsort()[:FURTHER].sort().values
         kept = torch.cat([best, best.new_tensor([count - 2, count - 1])])
-        single, suns, gram, x, y = single.among(kept), suns[kept], gram[kept], x[kept], y[kept]
+        single, gram, x, y = single.among(kept), gram[kept], x[kept], y[kept]
     for further in reversed(range(rounds)):
         rows = [slice(begin, begin + block) for begin in range(0, len(x), block)]
-        parts = [
-            _without_turns(single, suns[some], gram[some], x[some], y[some], some) for some in rows
-        ]
+        parts = [_without_turns(single, gram[some], x[some], y[some], some) for some in rows]
         small, right, level, solved = (torch.cat(part) for part in zip(*parts, strict=True))
         before, x = x, nnls(small, right, start=x)
         amounts = solved[:, :, -1:] - solved[:, :, :-1] @ x[:, :, None]
@@ -487,28 +481,25 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"], rounds: int) ->
         found["squared"][kept] = level - 2 * (right * x).sum(1) + along
         if bounded and further:
             assert single.normals is not None
-            turned = [single.normals.turned(before, amounts, some, len(one.suns)) for some in rows]
+            turned = [single.normals.turned(before, amounts, some, one.groups) for some in rows]
             y = single.with_bounds_at(x, torch.cat(turned))
     end = _Explained(problem=one, x=found["x"].to(one.y), squared=found["squared"].to(one.y))
     at = slice(end.best, end.best + 1)
-    added = errors.turned(found["before"], found["amounts"], at, len(one.suns))
+    added = errors.turned(found["before"], found["amounts"], at, one.groups)
     return replace(end, added=added[0].to(one.y))
 
 
 def _without_turns(
     one: _SunProblem,
-    suns: Float[Tensor, "b g m"],
     gram: Float[Tensor, "b k k"],
     x: Float[Tensor, "b k"],
     y: Float[Tensor, "b m"],
     rows: slice,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The problem without u, which is at its best: X^T X, X^T y, y^T y, and what tells that u.
-
-    ``suns`` are those of ``rows``.
-    """
+    """The problem of some ``rows`` without u, which is at its best: X^T X, X^T y, y^T y, and what
+    tells that u."""
     assert one.normals is not None
-    turned = one.normals.added(x, rows, len(one.suns))
+    suns, turned = one.suns[rows], one.normals.added(x, rows, one.groups)
     inner = turned @ turned.mT
     inner = inner + one.normals.cost * torch.eye(inner.shape[1]).to(inner)
     own = turned @ torch.cat([suns, y[:, None]], 1).mT

@@ -53,6 +53,7 @@ from skylight.skies._sun import find_sun
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import DirectionGrid, cosines
 from skylight.sphere._projections import from_latlong
+from skylight.sphere._row_kernels import RowKernels
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._reflection import specular_transport
 from skylight.transport._render import Specular
@@ -302,7 +303,7 @@ def _peeled(excess: Float[Tensor, " n"], grid: DirectionGrid) -> Iterator[MapLam
     """One lamp after the other, until there is no excess."""
     while bool(excess.any()):
         rows = grid.layout[0]  # type: ignore[index]
-        centre = _centres(rows).directions[(_caps(rows) @ excess.float()).argmax()]
+        centre = _centres(rows).directions[_caps(rows).gathered(excess).argmax()]
         for _ in range(_SHIFTS):
             cap = (grid.directions @ centre) > math.cos(CAP_RAD)
             centroid = (excess * cap) @ grid.directions
@@ -324,12 +325,13 @@ def _centres(rows: int) -> DirectionGrid:
 
 
 @constant(2)
-def _caps(rows: int) -> Float[Tensor, "c n"]:
-    """1 where a pixel lies within the cap about a centre: of 64 rows 67 MB, of 32 4 MB."""
-    cosine = cosines(
-        _centres(rows).directions.float(), DirectionGrid.latlong(rows).directions.float()
-    )
-    return (cosine > math.cos(CAP_RAD)).float()
+def _caps(rows: int) -> RowKernels:
+    """1 where a pixel lies within the cap about a centre."""
+
+    def within(grid: DirectionGrid, centres: Float[Tensor, "r 3"]) -> Float[Tensor, "n r"]:
+        return (cosines(grid.directions, centres) > math.cos(CAP_RAD)).double()
+
+    return RowKernels.of(within, DirectionGrid.latlong(rows), _centres(rows))
 
 
 def score(

@@ -106,12 +106,14 @@ class LampedLight(ParametricLight):
             share = self.log_solid_angle.to(ambient).exp() / (4 * math.pi)
             weights = ambient * ambient.new_tensor(LUMINANCE)[:, None] * share
             mean = log.flatten(2) @ weights.flatten(1)[..., None]
-            changes = (log - mean[..., None]) * ambient[:, None]
+            changes = log.new_empty(len(params), self.parameter_count, 3, log.shape[-1])
+            of_ambient = changes[:, : self.ambient_parameters]
+            torch.sub(log, mean[..., None], out=of_ambient).mul_(ambient[:, None])
             if self.count:
                 of_lamps = self._lamp_slopes(params)
                 if self.azimuth_index is not None:
                     changes[:, self.azimuth_index] += of_lamps[:, 0]
-                changes = torch.cat([changes, of_lamps[:, -LAMP_PARAMETERS * self.count :]], 1)
+                changes[:, self.ambient_parameters :] = of_lamps[:, -LAMP_PARAMETERS * self.count :]
             return changes.mT
 
     def _lamp_slopes(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b _ 3 n"]:

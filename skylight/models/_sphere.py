@@ -36,6 +36,7 @@ from skylight.sphere._lobes import DiskSplines
 
 SHIPPED = Path(str(files("skylight.models"))) / "data" / PLACES
 MOST_LAMPS = 3
+_PIXELS = 4096  # at a time
 MOST_ACROSS = 99  # control points of a file, before memory is asked for
 # log radiance, of a mean luminance of 1: a line search may try anything
 _DARKEST, _BRIGHTEST = -12.0, 12.0
@@ -263,7 +264,13 @@ class SphereLight(LampedLight):
 @constant(4)
 def _values(across: int, rows: int) -> Float[Tensor, "k n"]:
     """The splines of one disk at the pixels of so many rows."""
-    return DiskSplines(across, DirectionGrid.sky(rows)).matrix().float().T.contiguous()
+    splines = DiskSplines(across, DirectionGrid.sky(rows))
+    index, weights = (each[0] for each in splines.taps(torch.zeros(1, dtype=torch.float64)))
+    values = torch.empty(splines.count, len(index), dtype=torch.float32)
+    for some in torch.arange(len(index)).split(_PIXELS):  # whole, in float64, it takes 0.2 GB
+        dense = torch.zeros(len(some), splines.count, dtype=torch.float64)
+        values[:, some] = dense.scatter_add_(1, index[some], weights[some].double()).T.float()
+    return values
 
 
 def row_turns(
@@ -273,16 +280,25 @@ def row_turns(
 
     With ``slope`` their derivatives along the azimuth.
     """
-    column = torch.arange(width, device=azimuth_rad.device)
-    order = column[: width // 2 + 1]
-    share = torch.where((order == 0) | (2 * order == width), 1, 2).to(azimuth_rad) / width
-    waves = 2 * math.pi / width * (order[:, None] * column % width).to(azimuth_rad)
+    like = azimuth_rad.dtype, azimuth_rad.device
+    order, share, cosines, sines, behind = _waves(width, *like)
     phase = azimuth_rad[..., None] * order
     cos, sin = share * phase.cos(), share * phase.sin()
     if slope:
         cos, sin = -order * sin, order * cos
-    turned_first = cos @ waves.cos() + sin @ waves.sin()
-    return turned_first[..., (column - column[:, None]) % width]
+    return (cos @ cosines + sin @ sines)[..., behind]
+
+
+@constant(8)
+def _waves(width: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    """Each wave's number along a row, its share, cosine and sine at each column, and by how many
+    columns each is behind each other."""
+    column = torch.arange(width, device=device)
+    order = column[: width // 2 + 1]
+    share = torch.where((order == 0) | (2 * order == width), 1, 2).to(dtype) / width
+    waves = 2 * math.pi / width * (order[:, None] * column % width).to(dtype)
+    behind = (column - column[:, None]) % width
+    return order.to(dtype), share, waves.cos(), waves.sin(), behind
 
 
 def turned(

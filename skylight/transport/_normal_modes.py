@@ -169,16 +169,28 @@ class SkyNormalModes(torch.nn.Module):
 
         With ``<sum_k u_k M_pk, w>`` in the matrix that takes a third of the products.
         """
-        which = slice(None) if scene is None or len(self.modes) == 1 else scene
-        turned = torch.einsum(
-            "bmdk,bk->bmd", self.modes[which].expand(len(amounts), -1, -1, -1), amounts
-        )
-        matrix = self.visible[which] * (turned @ self.directions.T)
+        matrix = self.of_turns(amounts, scene)
         means = self._means(skies.flatten(0, 1)).unflatten(0, skies.shape[:2])
         rows = means.transpose(2, 3).flatten(1, 2)  # (b, 3 s, n)
         shading = (rows @ matrix.mT).unflatten(1, (-1, 3)).transpose(2, 3)
-        below = (turned * self.ground[which]).sum(2)
+        which = slice(None) if scene is None or len(self.modes) == 1 else scene
+        below = (self._turns(amounts, scene) * self.ground[which]).sum(2)
         return shading + below[:, None, :, None] * grounds[:, :, None]
+
+    def of_turns(
+        self, amounts: Float[Tensor, "b k"], scene: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, "b m n"]:
+        """What is added to the transport of each of b amounts: V <sum_k u_k M_pk, w> dw / pi."""
+        which = slice(None) if scene is None or len(self.modes) == 1 else scene
+        return (self._turns(amounts, scene) @ self.directions.T).mul_(self.visible[which])
+
+    def _turns(
+        self, amounts: Float[Tensor, "b k"], scene: Int[Tensor, " b"] | None
+    ) -> Float[Tensor, "b m 3"]:
+        """What is added to normals."""
+        which = slice(None) if scene is None or len(self.modes) == 1 else scene
+        modes = self.modes[which].expand(len(amounts), -1, -1, -1)
+        return torch.einsum("bmdk,bk->bmd", modes, amounts)
 
     def _means(self, sky: Float[Tensor, "b n 3"]) -> Float[Tensor, "b _ 3"]:
         """Of blocks of directions, as coarse as ``visible``."""

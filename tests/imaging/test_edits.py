@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.imaging._edits import DISPLAY_GAMMA, Edit, edited
+from skylight.imaging._edits import DISPLAY_GAMMA, Edit, edited, edited_slopes
 from skylight.sphere._envmap import LUMINANCE, luminance
 
 EDITS = [(1.4, 1.2), (0.8, 0.85), (1.5, 1.0), (1.0, 1.4)]
@@ -70,3 +70,24 @@ def test_slopes_are_finite_where_an_edit_ends_in_black() -> None:
     assert numbers.grad is not None
     assert linear.grad.isfinite().all()
     assert numbers.grad.isfinite().all()
+
+
+@pytest.mark.parametrize(("saturation", "contrast"), [*EDITS, (1.6, 2.5)])
+def test_derivatives_in_closed_form_are_those_of_autograd(
+    saturation: float, contrast: float
+) -> None:
+    """The last edit makes some of the pixels black."""
+    linear = picture()[None]
+    changes = torch.randn(1, 4, *linear.shape[1:], generator=torch.Generator().manual_seed(1))
+    changes = changes.double()
+    logs = torch.tensor([saturation, contrast], dtype=torch.float64).log()
+
+    def of(amounts: torch.Tensor) -> torch.Tensor:
+        along = (amounts[:4, None, None] * changes[0]).sum(0)
+        return edited(linear + along, *(logs + amounts[4:]).exp()[:, None])[0]
+
+    expected = torch.autograd.functional.jacobian(of, torch.zeros(6, dtype=torch.float64))
+    slopes, by_edits = edited_slopes(linear, *logs.exp()[:, None])
+    found = torch.cat([slopes(changes), by_edits], 1)[0]
+    torch.testing.assert_close(found, expected.movedim(2, 0))
+    assert contrast < 2 or bool((of(torch.zeros(6, dtype=torch.float64)) == 0).any())

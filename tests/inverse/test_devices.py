@@ -81,7 +81,8 @@ def test_no_operation_mixes_devices(on_cpu: Estimate, monkeypatch: pytest.Monkey
     assert torch.equal(found.params, on_cpu.params)
     assert torch.equal(found.environment.radiance, on_cpu.environment.radiance)
     assert torch.equal(found.rendered, on_cpu.rendered)
-    assert (found.terms, found.stats, found.status) == (on_cpu.terms, on_cpu.stats, on_cpu.status)
+    assert (found.terms, found.status) == (on_cpu.terms, on_cpu.status)
+    assert found.stats == pytest.approx(on_cpu.stats, rel=1e-9)
 
 
 @pytest.mark.slow
@@ -103,7 +104,9 @@ def test_no_operation_of_a_batch_mixes_devices(monkeypatch: pytest.MonkeyPatch) 
     for one, other in zip(found, expected, strict=True):
         assert torch.equal(one.environment.radiance, other.environment.radiance)
         assert torch.equal(one.rendered, other.rendered)
-        assert (one.terms, one.stats, one.status) == (other.terms, other.stats, other.status)
+        assert (one.terms, one.status) == (other.terms, other.status)
+        # small problems of the scan are solved by pivots there, on a CPU by an active set
+        assert one.stats == pytest.approx(other.stats, rel=1e-9)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")

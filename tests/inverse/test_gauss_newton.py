@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from skylight.inverse._gauss_newton import charbonnier, minimise_robust
 from skylight.models._prior import convex_shape
@@ -149,3 +150,43 @@ def test_the_priors_hessian_has_no_negative_curvature():
     torch.testing.assert_close(
         hessian, torch.diag(torch.tensor([2.0, 0.0]))[None], atol=1e-6, rtol=0
     )
+
+
+class _Asked(TorchDispatchMode):
+    """Counts what the host has to wait for: values that it reads, sizes that depend on values."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        name = func.overloadpacket.__name__
+        masks = name in ("index", "index_put", "index_put_") and any(
+            one is not None and one.dtype == torch.bool for one in args[1]
+        )
+        reads = ("_local_scalar_dense", "is_nonzero", "equal", "nonzero", "masked_select", "unique")
+        self.count += masks or name in reads
+        return func(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize("broyden", [False, True])
+def test_a_further_iteration_waits_for_one_answer(broyden):
+    """Which starts go on, and where derivatives are wanted: three lists of one copy."""
+    starts = torch.tensor([[-1.2, 1.0], [0.0, 0.0], [3.0, -4.0]])
+    counts = []
+    for iterations in (2, 7):
+        with _Asked() as asked:
+            found = minimise_robust(
+                curved,
+                curved_jacobian,
+                torch.ones(1, 2),
+                lambda x, _: 0 * x.sum(1),
+                starts,
+                iterations=iterations,
+                tolerance=0.0,
+                broyden=broyden,
+                shape=lambda x, _: (0 * x, torch.zeros(*x.shape, x.shape[1])),
+            )
+        assert found.iterations.tolist() == 3 * [iterations]
+        counts.append(asked.count)
+    assert counts[1] - counts[0] == 3 * 5
