@@ -12,14 +12,15 @@ known, and gets no edge.
 
 A place x of luminance Y sends back, times the edge, what it shows and a sheen ::
 
-    x + SHEEN M Y / (b + v) Y / (Y + v),
+    x + SHEEN M min(Y / (b + v), 3) Y / (Y + v),
 
 b being the luminance of its surroundings (:func:`surroundings`), M that of skin, and v the veil of
-:mod:`skylight.portrait._room`. The first is what has a thing's own colour, the second what its
-surface reflects, in the mean as much of dark things as of pale ones and in the lamp's colour, which
-is white here, as the first highlight of hair is (Marschner et al. 2003). It is a multiple of what
-is there, so strands keep their contrast, and what is as dark as stray light stays so. How strands
-run is not known: their highlights are as broad as cloth's.
+:mod:`skylight.portrait._room` times white. The first is what has a thing's own colour, the second
+what its surface reflects, in the mean as much of dark things as of pale ones and in the lamp's
+colour, white here, as the first highlight of hair is (Marschner et al. 2003). It is a multiple of
+what is there, so strands keep their contrast; what is even and as dark as stray light has a quarter
+of it, and what is far brighter than its surroundings, as an earring in black hair, three times
+as much. How strands run is not known: their highlights are as broad as cloth's.
 """
 
 from dataclasses import dataclass
@@ -40,9 +41,11 @@ METERED = 0.06  # of a ball's brightness: what an edge counts for in an exposure
 GRAZING = 5.0  # times as much is reflected from behind as Lambert's law has it: Fresnel's
 SHEEN = 0.6  # of what skin sends back
 STRANDS = 0.04  # of a face's height: standard deviation of the surroundings of a strand
-NEAR = 0.06  # of it: what lies farther from head and hair is no outline of theirs
-NEAR_BUST = 0.5  # and from a bust, which fits nobody exactly
-LIKELY_HAIR = 0.25
+MOST_STRAND = 3.0  # times its surroundings: locks reach that, earrings and threads far more
+# Of it: what lies farther from head and hair, and from a bust, which fits nobody exactly, is no
+# outline of theirs
+NEAR_HEAD, NEAR_BUST = 0.06, 0.5
+LIKELY_HAIR = 0.25  # how likely a pixel has to show it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +87,8 @@ def reflected(
     """What an edge multiplies, by the module's text: b is ``around``, M ``bright``, v ``veil``."""
     shown = np.maximum(picture @ LUMINANCE_WEIGHTS, 0)
     veil = max(veil, 1e-9)
-    sheen = np.float32(SHEEN * bright) * shown**2 / ((around + veil) * (shown + veil))
+    strand = np.minimum(shown / (around + veil), MOST_STRAND)
+    sheen = np.float32(SHEEN * bright) * strand * shown / (shown + veil)
     return picture + sheen[..., None]
 
 
@@ -108,7 +112,7 @@ def known(
         away = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
         return np.clip(1 + (reach * face_px - away) / (SMOOTH * face_px), 0, 1)
 
-    return np.maximum(near(head | (hair > LIKELY_HAIR), NEAR), near(bust, NEAR_BUST))
+    return np.maximum(near(head | (hair > LIKELY_HAIR), NEAR_HEAD), near(bust, NEAR_BUST))
 
 
 def leaning(

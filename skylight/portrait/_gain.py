@@ -188,9 +188,9 @@ class SkinColour:
     of skin of its brightness, as a collar, lips and hair have not. ``pale`` (p,q,3) is
     what each channel of a highlight has to lose to get the colour of usual skin, a logarithm of at
     most 0, and of one channel 0. ``astray`` (p,q) is how far skin near white has left the line from
-    usual skin to white along ``across`` (3,), a unit vector that changes neither luminance nor the
-    distance to white: red ends at white before the others do, so over-exposed skin is yellow or
-    green, which is not seen until it is made darker.
+    usual skin to white along ``across`` (3,), a unit vector that, near white, hardly changes
+    luminance or the distance to white: red ends at white before the others do, so over-exposed skin
+    is yellow or green, which is not seen until it is made darker.
     """
 
     lacks: Float[ndarray, "n 3"]

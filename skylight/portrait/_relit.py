@@ -351,7 +351,7 @@ class Portrait:
         within = self.matte[..., None]
         edged = None
         if edge is not None:
-            # so that nothing becomes brighter than white
+            # less where little is left to white; what passes it all the same is rolled off
             room = np.maximum(1 - np.exp(self.base + level), 0)
             edged = room * within[..., 0] ** 2 * edge.on(resized(self.leaning, size))
         return Gains(

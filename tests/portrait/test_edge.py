@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from skylight.portrait._edge import (
-    NEAR,
+    MOST_STRAND,
+    NEAR_HEAD,
     SHEEN,
     EdgeLight,
     known,
@@ -60,17 +61,28 @@ def test_the_sheen_is_the_surfaces_and_no_pigments() -> None:
     assert sheens[0].mean() == pytest.approx(SHEEN * 0.3, rel=0.05)
 
 
-def test_what_is_as_dark_as_stray_light_has_no_sheen() -> None:
-    """So no pale line is laid over what the photograph does not show."""
+def test_what_is_as_dark_as_stray_light_has_a_quarter_of_the_sheen() -> None:
+    """(Y / (Y + v))^2 of it where all is even, so that little is laid over what is black."""
     veil = 0.01
-    for level, most in ((0.0, 0.0), (0.1 * veil, 0.02), (veil, 0.3)):
+    for level in (0.0, 0.1 * veil, veil):
         flat = np.full((50, 50, 3), level, np.float32)
         around = surroundings(flat, np.ones((50, 50), np.float32), FACE_PX)
         sheen = reflected(flat, around, 0.3, veil) - flat
-        assert sheen.max() <= most * SHEEN * 0.3
+        expected = SHEEN * 0.3 * (level / (level + veil)) ** 2
+        np.testing.assert_allclose(sheen, expected, rtol=1e-3, atol=1e-7)
     pale = np.full((50, 50, 3), 0.3, np.float32)
     around = surroundings(pale, np.ones((50, 50), np.float32), FACE_PX)
     assert (reflected(pale, around, 0.3, veil) - pale).min() > 0.9 * SHEEN * 0.3
+
+
+def test_an_earring_in_dark_hair_has_no_more_sheen_than_a_lock() -> None:
+    """It is ninety times as bright as what is around it; without a bound so would its sheen be."""
+    hair = np.full((100, 100, 3), 0.01, np.float32)
+    hair[50, 50] = 0.9
+    around = surroundings(hair, np.ones((100, 100), np.float32), FACE_PX)
+    sheen = reflected(hair, around, 0.3, 0.005) - hair
+    assert around[50, 50] < 0.02
+    assert sheen[50, 50].max() == pytest.approx(MOST_STRAND * SHEEN * 0.3, rel=0.01)
 
 
 def test_surroundings_are_the_persons_alone() -> None:
@@ -94,8 +106,8 @@ def test_an_outline_is_believed_near_head_hair_and_bust_only() -> None:
     none = np.zeros((200, 200), bool)
     head = disc(40)
     believed = known(head, none.astype(np.float32), none, FACE_PX)
-    assert believed[disc(40 + NEAR * FACE_PX - 1)].min() > 0.99
-    assert believed[~disc(40 + (NEAR + 0.05) * FACE_PX + 1)].max() < 0.01
+    assert believed[disc(40 + NEAR_HEAD * FACE_PX - 1)].min() > 0.99
+    assert believed[~disc(40 + (NEAR_HEAD + 0.05) * FACE_PX + 1)].max() < 0.01
     hair = known(none, 0.9 * head, none, FACE_PX)
     np.testing.assert_allclose(hair, believed, atol=1e-6)
     assert known(none, 0.1 * head, none, FACE_PX).max() == 0

@@ -43,7 +43,7 @@ from skylight.imaging._photo import Photo
 from skylight.io._bounded import json_content, write_json
 from skylight.io._tensors import write_tensors
 from skylight.portrait._bounce import ALBEDO, AROUND
-from skylight.portrait._edge import BEHIND, GRAZING, METERED, SHEEN
+from skylight.portrait._edge import BEHIND, GRAZING, METERED, MOST_STRAND, SHEEN
 from skylight.portrait._files import KNEE
 from skylight.portrait._gain import (
     BASE,
@@ -240,6 +240,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "grazing": GRAZING,
         "sheen": SHEEN * portrait.bright,
         "stray": max(portrait.veil * portrait.white, 1e-9),
+        "most_strand": MOST_STRAND,
         "across": portrait.colour.across.tolist(),
         "unseen": _UNSEEN,
         "doubted": portrait.strength,

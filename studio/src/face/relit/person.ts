@@ -45,6 +45,7 @@ export interface Facts {
   grazing: number;
   sheen: number;
   stray: number;
+  most_strand: number;
   unseen: number;
   doubted: number;
   doubts: string[];
@@ -71,9 +72,9 @@ export interface Person {
   face: Float32Array;
   /** How much of a pixel of the crop is the face's. */
   share: Float32Array;
-  /** How the outline leans, to the right and up, and how far it has the colour of skin, and how bright the person is around; of the crop's pixels. */
+  /** Four a pixel of the crop: how the outline leans to the right, and up; how far it has the colour of skin; how bright the person is around. */
   outline: Float32Array;
-  /** What highlights have too much of each channel, and how far white skin has strayed, logarithms; of the crop's pixels. */
+  /** Four a pixel of the crop, logarithms: what highlights have too much of each channel; how far white skin has strayed along `across`. */
   pale: Float32Array;
   foundPower: Float32Array;
   foundMap: { width: number; height: number; data: Float32Array };

@@ -17,7 +17,7 @@ uniform vec2 drawn; // pixels of the canvas
 uniform vec2 most, otherMost;
 uniform vec3 lacks[STEPS], hue, across;
 uniform vec3 lamp; // behind the sitter
-uniform float edge, grazing, spread, sheen, stray, soon;
+uniform float edge, grazing, spread, sheen, stray, mostStrand, soon;
 uniform float typical, doubted, other, range, knee;
 uniform float darkest, veil, leastRoom, shortOfWhite, edgeOfWhite, over; // of skylight.portrait._room
 uniform float before; // the share of the width, from the left, that is as it was photographed
@@ -62,7 +62,7 @@ void main() {
     float radius = 2.0 * spread, risen = clamp(cosine + radius, 0.0, 2.0 * radius);
     float shown = max(dot(scene, vec3(0.2126, 0.7152, 0.0722)), 0.0);
     float sent = grazing * edge * (risen * risen / (4.0 * radius) + max(cosine - radius, 0.0));
-    vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a) + seen.a * seen.a * max(1.0 - exp(base + level), 0.0) * sent * (scene + sheen * shown / (leans.a + stray) * shown / (shown + stray));
+    vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a) + seen.a * seen.a * max(1.0 - exp(base + level), 0.0) * sent * (scene + sheen * min(shown / (leans.a + stray), mostStrand) * shown / (shown + stray));
     light = max(edited(person) + p - edited(scene), 0.0);
     vec3 k = clamp(p, knee, 1.0 - 1e-6);
     if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
@@ -205,6 +205,7 @@ export class RelitPicture {
     number("otherMost", ...facts.other_most);
     number("sheen", facts.sheen);
     number("stray", facts.stray);
+    number("mostStrand", facts.most_strand);
     number("grazing", facts.grazing);
     number("soon", facts.soon);
     this.gl.uniform3fv(this.uniform("lacks"), facts.lacks.flat());
