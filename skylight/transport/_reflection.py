@@ -239,7 +239,8 @@ def shade(
 ) -> Float[Tensor, "*batch m c"]:
     """``matrix @ radiance`` as one product for all lights and colours."""
     rows = radiance.transpose(-1, -2).flatten(0, -2)
-    shading = functional.linear(rows.contiguous(), matrix)  # others BLAS takes twice as long for
+    # BLAS takes twice as long where a row's numbers are apart in memory
+    shading = functional.linear(rows.contiguous(), matrix)
     return shading.reshape(*radiance.shape[:-2], radiance.shape[-1], len(matrix)).transpose(-1, -2)
 
 
