@@ -43,7 +43,7 @@ def edited(
 class PixelSlopes:
     """Derivatives J of three numbers of each pixel by three others: ``diag(own) + by a^T``.
 
-    Each of ``own``, ``by`` and ``along`` a is (b,m,3).
+    ``along`` is a; each of the three is (b,m,3).
     """
 
     own: Float[Tensor, "b m 3"]

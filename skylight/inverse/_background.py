@@ -142,8 +142,8 @@ class BackgroundTerm:
         slopes: PixelSlopes,
         changes: Float[Tensor, "b s k 3"],
     ) -> Float[Tensor, "b s r"]:
-        """Derivatives of the :meth:`deviation` along ``changes`` of which what is ``seen`` has
-        those ``slopes``."""
+        """The :meth:`deviation`'s derivatives along ``changes``, given the slopes of what is
+        ``seen`` by them."""
         if self.grey:
             seen, slopes = luminance(seen)[..., None].expand_as(seen), slopes.grey()
         shown = seen.clamp(min=0) + FLOOR

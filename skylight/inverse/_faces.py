@@ -261,7 +261,7 @@ class FaceTerm:
         slopes: PixelSlopes,
         problem: Int[Tensor, " b"] | None = None,
     ) -> PixelSlopes:
-        """Those of the :meth:`deviation`, of those that the shading has."""
+        """The :meth:`deviation`'s slopes, given those of the shading."""
         scale = 1 / of_problem(self.level, problem)[:, None, None]
         if self.clipped is not None:
             brighter = self.seen(shading) > of_problem(self.target, problem)

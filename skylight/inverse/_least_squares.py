@@ -37,8 +37,11 @@ def nnls(
     should be of one order. A slope of less than 1e-9 of the largest ``|r|`` counts as 0.
     Unknowns whose row and right side are zero are 0. Computed in double precision. Where columns
     are nearly dependent, exchanges may cycle: problems that are left after 4 are solved by an
-    active set method, one by one. So are on a CPU all of more than :data:`_FEW` unknowns.
+    active set method, one by one. On a CPU so are all problems of more than 8 unknowns
+    (:data:`_FEW`), which ignore ``start``.
     """
+    if len(right) == 0:
+        return torch.zeros_like(right)
     whole, wanted = gram.double(), right.double()
     diagonal = whole.diagonal(dim1=1, dim2=2)
     if gram.dtype == torch.float64:
@@ -95,7 +98,7 @@ def _by_active_set(
     R is Cholesky's factor. Where rounding made eigenvalues negative there is none: those, or almost
     0, are 1e-10 of the largest.
     """
-    from scipy.optimize import nnls as active_set  # takes 0.2 s to import, and is seldom called
+    from scipy.optimize import nnls as active_set  # takes 0.2 s to import
 
     # all at once: a GPU would wait for the CPU at every one of thousands of small problems
     gram, target = gram.cpu(), right.cpu()[..., None]

@@ -225,9 +225,9 @@ def sun_density(
     """
     cells, fine = _scan_grid(evidence), density_grid(evidence)
     nats = (evidence.deviations - evidence.deviations.min()) / model.temperature
-    spread = _kernel(model.kernel_rad, fine.is_sphere)
+    kernel = _kernel(model.kernel_rad, fine.is_sphere)
     # no lobe is negative, but what Fourier transforms round may be
-    density = spread.spread(torch.exp(-nats) * cells.solid_angles).clamp(min=0)
+    density = kernel.spread(torch.exp(-nats) * cells.solid_angles).clamp(min=0)
     if estimate is not None:
         lobe = _lobes(fine, estimate[None], model.estimate_rad)[:, 0]
         density = density * (1 + model.estimate_height * lobe) ** model.estimate_weight

@@ -36,7 +36,7 @@ from skylight.sphere._lobes import DiskSplines
 
 SHIPPED = Path(str(files("skylight.models"))) / "data" / PLACES
 MOST_LAMPS = 3
-_PIXELS = 4096  # at a time
+_PIXELS = 4096  # whose splines are dense at a time; all in float64 would take 0.2 GB
 MOST_ACROSS = 99  # control points of a file, before memory is asked for
 # log radiance, of a mean luminance of 1: a line search may try anything
 _DARKEST, _BRIGHTEST = -12.0, 12.0
@@ -267,7 +267,7 @@ def _values(across: int, rows: int) -> Float[Tensor, "k n"]:
     splines = DiskSplines(across, DirectionGrid.sky(rows))
     index, weights = (each[0] for each in splines.taps(torch.zeros(1, dtype=torch.float64)))
     values = torch.empty(splines.count, len(index), dtype=torch.float32)
-    for some in torch.arange(len(index)).split(_PIXELS):  # whole, in float64, it takes 0.2 GB
+    for some in torch.arange(len(index)).split(_PIXELS):
         dense = torch.zeros(len(some), splines.count, dtype=torch.float64)
         values[:, some] = dense.scatter_add_(1, index[some], weights[some].double()).T.float()
     return values

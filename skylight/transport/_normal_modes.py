@@ -155,7 +155,7 @@ class SkyNormalModes(torch.nn.Module):
         """F of each colour."""
         radiance = (self._means(sky)[:, :, None] * self.directions[:, :, None]).flatten(2)
         vector = shade_scenes(self.visible, radiance, scene).unflatten(2, (3, 3))
-        below = self.ground if scene is None or len(self.ground) == 1 else self.ground[scene]
+        below = _of_scene(self.ground, scene)
         return vector + below[..., None] * ground[:, None, None]
 
     def turned(
@@ -169,27 +169,30 @@ class SkyNormalModes(torch.nn.Module):
 
         With ``<sum_k u_k M_pk, w>`` in the matrix that takes a third of the products.
         """
-        matrix = self.of_turns(amounts, scene)
+        turns = self._turns(amounts, scene)
+        matrix = self._turned_transport(turns, scene)
         means = self._means(skies.flatten(0, 1)).unflatten(0, skies.shape[:2])
         rows = means.transpose(2, 3).flatten(1, 2)  # (b, 3 s, n)
         shading = (rows @ matrix.mT).unflatten(1, (-1, 3)).transpose(2, 3)
-        which = slice(None) if scene is None or len(self.modes) == 1 else scene
-        below = (self._turns(amounts, scene) * self.ground[which]).sum(2)
+        below = (turns * _of_scene(self.ground, scene)).sum(2)
         return shading + below[:, None, :, None] * grounds[:, :, None]
 
     def of_turns(
         self, amounts: Float[Tensor, "b k"], scene: Int[Tensor, " b"] | None = None
     ) -> Float[Tensor, "b m n"]:
         """What is added to the transport of each of b amounts: V <sum_k u_k M_pk, w> dw / pi."""
-        which = slice(None) if scene is None or len(self.modes) == 1 else scene
-        return (self._turns(amounts, scene) @ self.directions.T).mul_(self.visible[which])
+        return self._turned_transport(self._turns(amounts, scene), scene)
+
+    def _turned_transport(
+        self, turns: Float[Tensor, "b m 3"], scene: Int[Tensor, " b"] | None
+    ) -> Float[Tensor, "b m n"]:
+        return (turns @ self.directions.T).mul_(_of_scene(self.visible, scene))
 
     def _turns(
         self, amounts: Float[Tensor, "b k"], scene: Int[Tensor, " b"] | None
     ) -> Float[Tensor, "b m 3"]:
         """What is added to normals."""
-        which = slice(None) if scene is None or len(self.modes) == 1 else scene
-        modes = self.modes[which].expand(len(amounts), -1, -1, -1)
+        modes = _of_scene(self.modes, scene).expand(len(amounts), -1, -1, -1)
         return torch.einsum("bmdk,bk->bmd", modes, amounts)
 
     def _means(self, sky: Float[Tensor, "b n 3"]) -> Float[Tensor, "b _ 3"]:
@@ -199,3 +202,8 @@ class SkyNormalModes(torch.nn.Module):
             return sky
         blocks = sky.reshape(len(sky), self.rows, block, -1, block, 3)
         return blocks.mean((2, 4)).flatten(1, 2)
+
+
+def _of_scene(x: Float[Tensor, "p *s"], scene: Int[Tensor, " b"] | None) -> Float[Tensor, "_ *s"]:
+    """Each light's own; that of the only scene is left to broadcast."""
+    return x if scene is None or len(x) == 1 else x[scene]

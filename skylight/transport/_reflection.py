@@ -19,8 +19,6 @@ from skylight.sphere._frame import DirectionGrid, cosines
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._render import Specular, ggx
 
-_FEWEST_ROWS = 6
-
 
 class DiffuseTransport(Module):
     """Shading of m Lambertian points under distant light from n directions.
@@ -225,13 +223,14 @@ def shade_scenes(
     assert scene.device.type != "cpu" or bool((scene.diff() >= 0).all())
     colours = radiance.shape[-1]
     counts = torch.bincount(scene, minlength=len(matrices))
-    size = max(int(counts.max()), -(-_FEWEST_ROWS // colours))
+    size = int(counts.max())
     place = torch.arange(len(scene), device=scene.device) - (counts.cumsum(0) - counts)[scene]
     slot = scene * size + place
     rows = radiance.transpose(1, 2)
     slots = rows.new_zeros(len(matrices) * size, *rows.shape[1:]).index_copy(0, slot, rows)
-    shading = slots.reshape(len(matrices), size * colours, -1) @ matrices.transpose(1, 2)
-    return shading.reshape(-1, colours, matrices.shape[1])[slot].transpose(1, 2)
+    several = slots.reshape(len(matrices), size * colours, matrices.shape[2])
+    shading = several @ matrices.transpose(1, 2)
+    return shading.reshape(len(slots), colours, matrices.shape[1])[slot].transpose(1, 2)
 
 
 def shade(
@@ -239,7 +238,8 @@ def shade(
 ) -> Float[Tensor, "*batch m c"]:
     """``matrix @ radiance`` as one product for all lights and colours."""
     rows = radiance.transpose(-1, -2).flatten(0, -2)
-    shading = functional.linear(rows.contiguous(), matrix)  # others BLAS takes twice as long for
+    # BLAS takes twice as long where a row's numbers are apart in memory
+    shading = functional.linear(rows.contiguous(), matrix)
     return shading.reshape(*radiance.shape[:-2], radiance.shape[-1], len(matrix)).transpose(-1, -2)
 
 

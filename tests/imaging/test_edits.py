@@ -90,4 +90,6 @@ def test_derivatives_in_closed_form_are_those_of_autograd(
     slopes, by_edits = edited_slopes(linear, *logs.exp()[:, None])
     found = torch.cat([slopes(changes), by_edits], 1)[0]
     torch.testing.assert_close(found, expected.movedim(2, 0))
+    grey = slopes.grey()(changes)[0]
+    torch.testing.assert_close(grey, luminance(found[:4])[..., None].expand_as(grey))
     assert contrast < 2 or bool((of(torch.zeros(6, dtype=torch.float64)) == 0).any())

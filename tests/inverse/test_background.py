@@ -164,6 +164,7 @@ def test_its_slopes_are_those_of_automatic_differentiation():
     radiance = torch.rand(16, 3, generator=torch.Generator().manual_seed(2)) + 0.2
     check(objective(radiance=radiance, photos=2, clipped=(1, 5)))
     check(objective(radiance=radiance, model=MODEL))
+    check(objective(replace(observation(), grey=True), radiance=radiance, clipped=(1, 5)))
 
 
 def test_rows_and_weights_are_the_tangent_of_the_objective():

@@ -2,6 +2,8 @@
 
 import pytest
 import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from skylight.inverse._gauss_newton import charbonnier, minimise_robust
@@ -152,30 +154,64 @@ def test_the_priors_hessian_has_no_negative_curvature():
     )
 
 
-class _Asked(TorchDispatchMode):
-    """Counts what the host has to wait for: values that it reads, sizes that depend on values."""
+class _Copied(TorchFunctionMode):
+    """Counts copies to the host, which dispatch nothing on a CPU."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.count = 0
+    count = 0
+
+    def __torch_function__(self, func, types, args=(), kwargs=None):
+        self.count += func in (Tensor.cpu, Tensor.tolist, Tensor.numpy)
+        return func(*args, **(kwargs or {}))
+
+
+class _Asked(TorchDispatchMode):
+    """Counts values that are read one by one, and sizes that depend on values."""
+
+    count = 0
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         name = func.overloadpacket.__name__
         masks = name in ("index", "index_put", "index_put_") and any(
             one is not None and one.dtype == torch.bool for one in args[1]
         )
-        reads = ("_local_scalar_dense", "is_nonzero", "equal", "nonzero", "masked_select", "unique")
-        self.count += masks or name in reads
+        reads = ("_local_scalar_dense", "is_nonzero", "equal", "nonzero", "masked_select")
+        self.count += masks or name in reads or "unique" in name
         return func(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize(
+    "wait",
+    [
+        Tensor.cpu,
+        Tensor.tolist,
+        Tensor.numpy,
+        Tensor.nonzero,
+        Tensor.unique,
+        Tensor.unique_consecutive,
+        lambda x: x.unique(dim=0),
+        lambda x: x[1].item(),
+        lambda x: bool(x.any()),
+        lambda x: x.equal(x + 1),
+        lambda x: x[x > 1],
+        lambda x: x.masked_select(x > 1),
+    ],
+)
+def test_all_that_the_host_waits_for_is_counted(wait):
+    x = torch.arange(3.0)
+    with _Copied() as copied, _Asked() as asked:
+        (x + x).cumsum(0)
+        assert copied.count + asked.count == 0
+        wait(x)
+    assert copied.count + asked.count == 1
 
 
 @pytest.mark.parametrize("broyden", [False, True])
 def test_a_further_iteration_waits_for_one_answer(broyden):
-    """Which starts go on, and where derivatives are wanted: three lists of one copy."""
+    """Which starts go on, and where derivatives are wanted: one copy, of which are three lists."""
     starts = torch.tensor([[-1.2, 1.0], [0.0, 0.0], [3.0, -4.0]])
     counts = []
     for iterations in (2, 7):
-        with _Asked() as asked:
+        with _Copied() as copied, _Asked() as asked:
             found = minimise_robust(
                 curved,
                 curved_jacobian,
@@ -188,5 +224,5 @@ def test_a_further_iteration_waits_for_one_answer(broyden):
                 shape=lambda x, _: (0 * x, torch.zeros(*x.shape, x.shape[1])),
             )
         assert found.iterations.tolist() == 3 * [iterations]
-        counts.append(asked.count)
-    assert counts[1] - counts[0] == 3 * 5
+        counts.append(torch.tensor([copied.count, asked.count]))
+    assert (counts[1] - counts[0]).tolist() == [5, 3 * 5]

@@ -1,4 +1,7 @@
-"""Non-negative least squares: an active-set method of another's, singular and single problems."""
+"""Non-negative least squares: an active-set method of another's, singular and single problems.
+
+A CPU pivots where unknowns are few, a GPU always: all is tested by pivots and one by one.
+"""
 
 import numpy as np
 import pytest
@@ -7,6 +10,11 @@ from scipy.optimize import nnls as scipy_nnls
 
 from skylight.inverse import _least_squares as least_squares
 from skylight.inverse._least_squares import nnls
+
+
+@pytest.fixture(autouse=True, params=[0, 99], ids=["one by one", "pivots"])
+def few(request, monkeypatch):
+    monkeypatch.setattr(least_squares, "_FEW", request.param)
 
 
 def problems(seed, *, positive=True, count=30, equations=40, unknowns=9):
@@ -48,6 +56,13 @@ def test_each_problem_is_solved_as_alone():
     for k in range(len(gram)):
         alone = nnls(gram[k, None], right[k, None])
         torch.testing.assert_close(found[k, None], alone, atol=1e-12, rtol=0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_no_problems_have_no_answers(dtype):
+    found = nnls(torch.zeros(0, 9, 9, dtype=dtype), torch.zeros(0, 9, dtype=dtype))
+    assert found.shape == (0, 9)
+    assert found.dtype == dtype
 
 
 def test_more_unknowns_than_equations_are_explained_as_well():

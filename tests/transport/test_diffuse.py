@@ -216,3 +216,8 @@ def test_shading_of_several_scenes_is_each_ones_own(scene):
     shading = shade_scenes(matrices, radiance, index)
     torch.testing.assert_close(shading, torch.einsum("bmn,bnc->bmc", matrices[index], radiance))
     torch.autograd.gradcheck(lambda x: shade_scenes(matrices, x, index), (radiance,))
+
+
+def test_no_lights_on_several_scenes_are_no_shading():
+    none = torch.zeros(0, dtype=torch.int64)
+    assert shade_scenes(torch.rand(3, 4, 6), torch.rand(0, 6, 3), none).shape == (0, 4, 3)
