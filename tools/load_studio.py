@@ -127,7 +127,11 @@ async def _visited(
             for number in range(options.browsers)
         ]
         telling = asyncio.create_task(_tell(tally))
-        await asyncio.gather(*(visitor.visit() for visitor in visitors))
+        ended = asyncio.gather(*(visitor.visit() for visitor in visitors))
+        try:  # a page that does not close would be waited for without end
+            await asyncio.wait_for(ended, 60 * options.minutes + 2 * PATIENCE_S)
+        except TimeoutError:
+            tally.failures.append("a visitor had not gone long after the time was over")
         telling.cancel()
         await browser.close()
 
