@@ -84,9 +84,9 @@ def reflected(
     bright: float,
     veil: float,
 ) -> Float[ndarray, "h w 3"]:
-    """What an edge multiplies, by the module's text: b is ``around``, M ``bright``, v ``veil``."""
+    """What an edge multiplies, by the module's text: b is ``around``, M ``bright``, v ``veil``, of
+    which the last is above 0 where something is black."""
     shown = np.maximum(picture @ LUMINANCE_WEIGHTS, 0)
-    veil = max(veil, 1e-9)
     strand = np.minimum(shown / (around + veil), MOST_STRAND)
     sheen = np.float32(SHEEN * bright) * strand * shown / (shown + veil)
     return picture + sheen[..., None]

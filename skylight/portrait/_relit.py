@@ -365,11 +365,16 @@ class Portrait:
         picture = self.scene * gains.times
         if gains.edge is not None:
             around = resized(self.around, (self.scene.shape[0], self.scene.shape[1]))
-            sent = reflected(self.scene, around, self.bright, self.veil * self.white)
+            sent = reflected(self.scene, around, self.bright, self.stray)
             picture = picture + gains.edge[..., None] * sent
         # what an edit made black is not known again: where nothing changed, nothing changes
         picture = self._edited(picture) + (self.photo - self._edited(self.scene))
         return np.maximum(picture, 0)
+
+    @property
+    def stray(self) -> float:
+        """The veil's luminance, in the picture's unit; above 0."""
+        return max(self.veil * self.white, 1e-9)
 
     def _edited(self, picture: Float[ndarray, "h w 3"]) -> Float[ndarray, "h w 3"]:
         return self.edit.apply(torch.from_numpy(picture)).numpy()

@@ -239,7 +239,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "metered": METERED,
         "grazing": GRAZING,
         "sheen": SHEEN * portrait.bright,
-        "stray": max(portrait.veil * portrait.white, 1e-9),
+        "stray": portrait.stray,
         "most_strand": MOST_STRAND,
         "across": portrait.colour.across.tolist(),
         "unseen": _UNSEEN,
