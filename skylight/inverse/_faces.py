@@ -23,7 +23,7 @@ from skylight.inverse._sun_prior import SunPrior
 from skylight.sphere._envmap import luminance
 from skylight.transport._normal_modes import SkyNormalModes
 from skylight.transport._observation import Observation
-from skylight.transport._reflection import SkyTransport
+from skylight.transport._reflection import SkyTransport, of_scene
 
 # Automatic white balance misses the light's colour by 2 to 5 degrees in the mean, as the angle
 # between colours (Gijsenij, Gevers & van de Weijer 2011, "Computational color constancy: survey and
@@ -284,7 +284,7 @@ def of_problem(
 ) -> Shaped[Tensor, "_ *s"]:
     """Each row's own; what there is but one of is left to broadcast."""
     assert problem is not None or len(x) == 1
-    return x if len(x) == 1 else x[problem]
+    return of_scene(x, problem)
 
 
 def _padded(parts: Sequence[Shaped[Tensor, "1 _ *s"]]) -> Shaped[Tensor, "p m *s"]:

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from skylight.sphere._frame import DirectionGrid, cosines
 from skylight.transport._matrix import TransportMatrix
-from skylight.transport._reflection import shade_scenes
+from skylight.transport._reflection import of_scene, shade_scenes
 
 # T = V <n,w> dw / pi tells V where the cosine is more than this
 _LEAST_COSINE = 0.01
@@ -155,7 +155,7 @@ class SkyNormalModes(torch.nn.Module):
         """F of each colour."""
         radiance = (self._means(sky)[:, :, None] * self.directions[:, :, None]).flatten(2)
         vector = shade_scenes(self.visible, radiance, scene).unflatten(2, (3, 3))
-        below = _of_scene(self.ground, scene)
+        below = of_scene(self.ground, scene)
         return vector + below[..., None] * ground[:, None, None]
 
     def turned(
@@ -174,7 +174,7 @@ class SkyNormalModes(torch.nn.Module):
         means = self._means(skies.flatten(0, 1)).unflatten(0, skies.shape[:2])
         rows = means.transpose(2, 3).flatten(1, 2)  # (b, 3 s, n)
         shading = (rows @ matrix.mT).unflatten(1, (-1, 3)).transpose(2, 3)
-        below = (turns * _of_scene(self.ground, scene)).sum(2)
+        below = (turns * of_scene(self.ground, scene)).sum(2)
         return shading + below[:, None, :, None] * grounds[:, :, None]
 
     def of_turns(
@@ -186,13 +186,13 @@ class SkyNormalModes(torch.nn.Module):
     def _turned_transport(
         self, turns: Float[Tensor, "b m 3"], scene: Int[Tensor, " b"] | None
     ) -> Float[Tensor, "b m n"]:
-        return (turns @ self.directions.T).mul_(_of_scene(self.visible, scene))
+        return (turns @ self.directions.T).mul_(of_scene(self.visible, scene))
 
     def _turns(
         self, amounts: Float[Tensor, "b k"], scene: Int[Tensor, " b"] | None
     ) -> Float[Tensor, "b m 3"]:
         """What is added to normals."""
-        modes = _of_scene(self.modes, scene).expand(len(amounts), -1, -1, -1)
+        modes = of_scene(self.modes, scene).expand(len(amounts), -1, -1, -1)
         return torch.einsum("bmdk,bk->bmd", modes, amounts)
 
     def _means(self, sky: Float[Tensor, "b n 3"]) -> Float[Tensor, "b _ 3"]:
@@ -202,8 +202,3 @@ class SkyNormalModes(torch.nn.Module):
             return sky
         blocks = sky.reshape(len(sky), self.rows, block, -1, block, 3)
         return blocks.mean((2, 4)).flatten(1, 2)
-
-
-def _of_scene(x: Float[Tensor, "p *s"], scene: Int[Tensor, " b"] | None) -> Float[Tensor, "_ *s"]:
-    """Each light's own; that of the only scene is left to broadcast."""
-    return x if scene is None or len(x) == 1 else x[scene]

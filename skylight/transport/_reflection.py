@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.functional import normalize
@@ -231,6 +231,11 @@ def shade_scenes(
     several = slots.reshape(len(matrices), size * colours, matrices.shape[2])
     shading = several @ matrices.transpose(1, 2)
     return shading.reshape(len(slots), colours, matrices.shape[1])[slot].transpose(1, 2)
+
+
+def of_scene(x: Shaped[Tensor, "p *s"], scene: Int[Tensor, " b"] | None) -> Shaped[Tensor, "_ *s"]:
+    """Each light's own; that of the only scene is left to broadcast."""
+    return x if scene is None or len(x) == 1 else x[scene]
 
 
 def shade(
