@@ -131,7 +131,7 @@ def relit_frames(
     progress: StageProgress = silent,
 ) -> Iterator[RelitFrame]:
     """Every frame of the film in order, in each of the lights, times an ``exposure``."""
-    relighter = _Relighter(film, poses, lights, keep, workers, progress)
+    relighter = _Relighter(film, poses, lights, keep, exposure, workers, progress)
     numbers = {int(number): n for n, number in enumerate(poses.numbers)}
     for frame in film_frames(film.file):
         n = numbers.get(frame.number)
@@ -143,7 +143,7 @@ def relit_frames(
             progress("relighting", n / len(numbers))
         yield RelitFrame(
             time_s=frame.time_s,
-            codes={path: relighter.codes(frame, gains.get(path), exposure) for path in lights},
+            codes={path: relighter.codes(frame, gains.get(path)) for path in lights},
             gains=gains,
             doubts=relighter.doubts if gains else (),
             is_relit=bool(gains),
@@ -159,11 +159,13 @@ class _Relighter:
         poses: Poses,
         lights: Mapping[Path, NewLight],
         keep: Keep,
+        exposure: float,
         workers: int | None,
         progress: StageProgress,
     ) -> None:
         self.film, self.poses, self.lights = film, poses, lights
         self.keep: Keep = keep
+        self.exposure = exposure
         self.found = light_in_photo(film)
         self.carried, self.before = Carried(), dict[Path, Gains]()
         self.matte: Float[ndarray, "h w"] | None = None
@@ -250,7 +252,9 @@ class _Relighter:
         """Those of one frame alone, but for how bright it is to be."""
         light, factor = self.lights[path], self.factors.get(path)
         edge = None if light.edge is None else _turned(light.edge, turn)
-        return portrait.gains(light.environment, keep=self.keep, edge=edge, factor=factor)
+        return portrait.gains(
+            light.environment, keep=self.keep, edge=edge, factor=factor, exposure=self.exposure
+        )
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -282,10 +286,9 @@ class _Relighter:
         share = float(self.poses.shares[n])
         return {path: _weaker(gains, share) for path, gains in self.before.items()}
 
-    def codes(
-        self, frame: FilmFrame, gains: Gains | None, exposure: float
-    ) -> UInt8[ndarray, "h w 3"]:
+    def codes(self, frame: FilmFrame, gains: Gains | None) -> UInt8[ndarray, "h w 3"]:
         """What is shown of a frame with those gains, in sRGB; None leaves it as it was."""
+        exposure = self.exposure
         portrait = self.portrait
         if gains is None or portrait is None:
             photo = self._photo(frame)

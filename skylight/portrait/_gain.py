@@ -32,12 +32,15 @@ CODES = 8.0  # of 255: less is no edge of a person
 NEAR = 0.05  # of a Gaussian of REACH: skin that is near enough
 # Logarithms.
 BRIGHTER, DARKER = 1.0, 2.0  # what gains of skin approach on either side of its mean
+KNEE = 0.35  # half a stop: over which a gain bends at least, for a sharper bend shows as a seam
 TEXTURE = 0.05  # standard deviation of skin's albedo
 HUE = 0.35  # what skin's own colour differs by between shadow and light
 ALIKE = 0.25  # and from place to place
 SOON = 0.25  # change of level
+LIPS, STRAYED = 0.35, 0.6  # how alike lips are to skin at most, and skin near white at least
 GLOSSY = 0.3  # brighter than usual skin: a highlight
 STEPS = 16  # of brightness
+_NO_ROOM = np.float32(1e-4)
 FEW = 0.004  # of a face's pixels: so many tell little of their colour
 PORES = 0.15  # what the guided filter takes for texture
 BASE = 0.01  # of the mean shading, in addition: light that scatters below the skin
@@ -168,13 +171,23 @@ def bounded(
     brighter: float | Float[ndarray, "*s"] = BRIGHTER,
     darker: float | Float[ndarray, "*s"] = DARKER,
 ) -> Float[ndarray, "*s"]:
-    """A logarithm with a soft knee: ``b tanh(x / b)``, b of its sign.
+    """A logarithm x with a soft knee: it approaches b = ``brighter`` and -d = ``-darker``.
+
+    ``b tanh(r x / b)`` above 0 and ``-d tanh(y / d)`` below, with ``r = (1 + (k / b)^4)^(-1/8)``,
+    ``y = |x| - (1 - r) k (1 - e^(x / k))`` and k :data:`KNEE`. Where b is above k, r is nearly 1.
+    Where it is less, as near white, r is sqrt(b / k), and the slope falls to that before x is 0: it
+    is continuous, and changes by no more than 1 in k, however little room there is. A step of light
+    across a highlight would show as a seam where it changes its sign, were the slope 1 there.
 
     Shadows brightened further show noise, which ``e`` times the light makes 1.5 times as large in a
     picture's codes, ``e^(1 / 2.4)``; skin darkened further loses its texture.
     """
-    limit = np.where(gain > 0, np.float32(brighter), np.float32(darker))
-    return limit * np.tanh(gain / limit)
+    most = np.maximum(np.float32(brighter), _NO_ROOM)
+    slope = (1 + (np.float32(KNEE) / most) ** 4) ** np.float32(-0.125)
+    more, less = np.maximum(gain, 0), np.minimum(gain, 0)
+    less = less - (1 - slope) * np.float32(KNEE) * np.expm1(less / np.float32(KNEE))
+    least = np.float32(darker)
+    return most * np.tanh(slope * more / most) + least * np.tanh(less / least)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,7 +249,9 @@ class SkinColour:
         pale = share[..., None] * (towards - towards.max(2, keepdims=True))
         across = np.cross(mean, LUMINANCE_WEIGHTS)
         across = across / max(float(np.linalg.norm(across)), 1e-6)
-        near_white = on.bare * np.clip(1 - (1 - np.exp(base)) / EDGE_OF_WHITE, 0, 1)
+        # lips and what else has not the colour of skin of its brightness is no skin astray
+        skin_like = np.clip((alike - LIPS) / (STRAYED - LIPS), 0, 1)
+        near_white = skin_like * np.clip(1 - (1 - np.exp(base)) / EDGE_OF_WHITE, 0, 1)
         astray = near_white * HUE * np.tanh(own @ across / HUE)
         return SkinColour(
             lacks=float32(table),
@@ -247,10 +262,12 @@ class SkinColour:
         )
 
     def out_of_white(self, level: Float[ndarray, "h w"]) -> Float[ndarray, "h w 3"]:
-        """Of colour where a ``level`` below 0 brings skin back from white: its hue is skin's."""
-        share = np.expm1(np.minimum(level, 0) / SOON)
+        """Of colour where a ``level`` below 0 brings skin back from white: its hue is skin's.
+
+        The level is of all that makes the picture darker, an exposure too."""
+        share = _soon(np.minimum(level, 0))
         size = (level.shape[0], level.shape[1])
-        return (share * resized(self.astray, size))[..., None] * self.across
+        return -(share * resized(self.astray, size))[..., None] * self.across
 
     def without_highlights(self, gain: Float[ndarray, "h w"]) -> Float[ndarray, "h w 3"]:
         """Of colour where ``gain`` is below 0: a highlight of the old light goes with it.
@@ -258,7 +275,7 @@ class SkinColour:
         What lies between usual skin and white gets the colour of usual skin, and no channel
         becomes more: so the highlight's brightness goes too.
         """
-        share = -np.expm1(np.minimum(gain, 0) / SOON)
+        share = _soon(np.minimum(gain, 0))
         return share[..., None] * resized(self.pale, (gain.shape[0], gain.shape[1]))
 
     def change(
@@ -267,10 +284,17 @@ class SkinColour:
         """Of colour with a ``gain`` of level: most of what skin of a place's brightness lacks, once
         that changes by :data:`SOON`.
         """
-        share = resized(self.alike, (gain.shape[0], gain.shape[1])) * -np.expm1(
-            -np.abs(gain) / SOON
-        )
+        share = resized(self.alike, (gain.shape[0], gain.shape[1])) * _soon(gain)
         return share[..., None] * _at(base, self.lacks)
+
+
+def _soon(change: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
+    """How much of a colour comes with a change x of level: ``1 - (1 + y) e^-y``, y = 2 |x| / SOON.
+
+    It begins without a slope, which would be seen as a line where x is 0.
+    """
+    away = np.abs(change) * np.float32(2 / SOON)
+    return 1 - (1 + away) * np.exp(-away)
 
 
 def _at(base: Float[ndarray, "h w"], table: Float[ndarray, "n 3"]) -> Float[ndarray, "h w 3"]:

@@ -12,7 +12,8 @@ irradiance of what the camera sees of a ball in the sitter's place (:func:`ball_
 that ball as bright as the light found has it, as an exposure meter would, but that a key behind the
 sitter counts for more (:data:`~skylight.portrait._edge.METERED`), so that its edge is bright and
 the face in shade. Such a key is no part of the map, but an edge (:mod:`skylight.portrait._edge`),
-and its fill is the light found, which models a face that the key does not.
+:data:`RIM` times as bright, and its fill is the light found, which models a face that the key does
+not.
 """
 
 import math
@@ -27,7 +28,7 @@ from skylight.errors import InputError
 from skylight.estimation._kept import FoundLight
 from skylight.inverse._lamp_relighting import lamps_radiance
 from skylight.inverse._result import Lamp
-from skylight.portrait._edge import METERED, EdgeLight, edge_share
+from skylight.portrait._edge import METERED, EdgeLight, edge_share, lamp_colour
 from skylight.portrait._lights import NewLight
 from skylight.portrait._relit import light_in_photo
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -48,6 +49,7 @@ KEYS = MappingProxyType[KeyName, tuple[float, float]](
 SOFT_DEG, USUAL_DEG, HARD_DEG = 40.0, 25.0, 5.0
 NARROWEST_DEG, WIDEST_DEG = 2.0, 120.0  # a lobe narrower than a map's pixels is none; a wall
 KEY_OVER_FILL = 4.0  # s: two stops, as for a portrait with clear light and shade
+RIM = 2.0  # times as bright as that a lamp behind is, as a narrow band is seen less than a face
 
 
 def ball_weights(directions: Float[Tensor, "*n 3"]) -> Float[Tensor, " *n"]:
@@ -122,10 +124,12 @@ def key_light(
     )
     lobe = lamps_radiance([lamp], fill.layout[0]).reshape(fill.radiance.shape)
     x, y, z = towards.tolist()
+    red, green, blue = colour.tolist()
     edge = EdgeLight(
         direction=(x, y, z),
-        strength=behind * strength / (1 + strength * metered),
+        strength=RIM * behind * strength / (1 + strength * metered),
         spread_rad=lamp.spread_rad,
+        colour=lamp_colour((red, green, blue)),
     )
     own = level / brightness_of_ball(whole)
     rest = (1 - behind) * fill.radiance + behind * own * whole.radiance

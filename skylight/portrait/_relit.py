@@ -50,7 +50,7 @@ from skylight.faces._segmentation import person_matte
 from skylight.imaging._edits import UNEDITED, Edit
 from skylight.imaging._photo import Photo
 from skylight.portrait._bounce import bounced, hollow_tint, hue_of
-from skylight.portrait._edge import EdgeLight, known, leaning, reflected, surroundings
+from skylight.portrait._edge import EdgeLight, Outline, known, told_apart
 from skylight.portrait._gain import (
     EXACT,
     LUMINANCE_WEIGHTS,
@@ -100,19 +100,21 @@ MORE_BEHIND = 6.0  # times the light that falls on the front of an upright surfa
 FLAT = 0.2  # standard deviation of logarithms: skin that shows no direction of its light
 LITTLE = 0.3  # of the light's variation
 _BLACKEST = 0.01  # albedo
+_NO_STRAY = 1e-9
 _DOUBTED = 0.7  # of the gain, for each doubt
 SHARED_ROWS = 16  # cells of 11 degrees: how far a lamp moves until it is another one
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """What a picture is multiplied by, ``times`` (h,w,3), and how much of an ``edge`` (h,w) it
-    gets as far as there is room below white, None where there is none. ``factor`` is of the light,
-    so that skin keeps its brightness.
+    """What a picture is multiplied by, ``times`` (h,w,3), and how much of an ``edge`` (h,w,2) its
+    surfaces and hair get as far as there is room below white, None where there is none, of a lamp
+    of that ``colour`` (3,). ``factor`` is of the light, so that skin keeps its brightness.
     """
 
     times: Float[ndarray, "h w 3"]
-    edge: Float[ndarray, "h w"] | None
+    edge: Float[ndarray, "h w 2"] | None
+    colour: Float[ndarray, "3"]
     factor: float
 
 
@@ -126,6 +128,8 @@ class Held:
     albedo: float
     slope: float
     lacks: Float[ndarray, "n 3"]
+    lit: float
+    veil: float
     doubts: tuple[str, ...]
 
     @staticmethod
@@ -137,6 +141,8 @@ class Held:
             albedo=float(np.median([one.albedo for one in portraits])),
             slope=float(np.median([one.unseen.slope for one in portraits])),
             lacks=np.median([one.colour.lacks for one in portraits], axis=0),
+            lit=float(np.median([one.lit for one in portraits])),
+            veil=float(np.median([one.veil for one in portraits])),
             doubts=by_doubts[len(by_doubts) // 2].doubts,
         )
 
@@ -146,17 +152,16 @@ class Portrait:
     """A photograph taken apart, so that any light can be put in the place of ``found``.
 
     ``scene`` is the photograph before its ``edit``, ``matte`` (h,w) how much of a pixel's light is
-    the person's. ``leaning`` is what :mod:`skylight.portrait._edge` has of its outline where that
-    is known, and ``around`` (p,q) how bright the person is about a place; ``bright`` is the mean
-    luminance of skin. ``skin`` (h,w) is how much of it shows skin; ``base`` (h,w), ``veil`` and
-    ``white`` are of :mod:`skylight.portrait._room`. At the pixels of ``person``, ``shading`` and
-    ``specular`` (p,q,3) are S_A and g_A, and ``on`` says where they show skin. ``before`` is ln
-    L_A, ``unseen`` U, ``colour`` gives s, and ``mean`` (3,) is the mean S_A of skin. ``openness``
-    (p,q) and ``hue`` (3,) are o and h of :mod:`skylight.portrait._bounce`, and ``hollow_share``
-    (p,q) is how much of A's light on the face comes from the face, continued beyond it. ``albedo``
-    is that of skin in luminance. ``specular_scale`` is at most that whose mean g_A over skin is
-    :data:`MOST_SPECULAR` of the photograph's in each channel. ``strength`` is q, and ``doubts`` say
-    why it is below 1.
+    the person's. ``outline`` is what a lamp behind the person lights, and ``lit`` the luminance of
+    what is white and lit as skin is in the mean. ``skin`` (h,w) is how much of it shows skin;
+    ``base`` (h,w), ``veil`` and ``white`` are of :mod:`skylight.portrait._room`. At the pixels of
+    ``person``, ``shading`` and ``specular`` (p,q,3) are S_A and g_A, and ``on`` says where they
+    show skin. ``before`` is ln L_A, ``unseen`` U, ``colour`` gives s, and ``mean`` (3,) is the
+    mean S_A of skin. ``openness`` (p,q) and ``hue`` (3,) are o and h of
+    :mod:`skylight.portrait._bounce`, and ``hollow_share`` (p,q) is how much of A's light on the
+    face comes from the face, continued beyond it. ``albedo`` is that of skin in luminance.
+    ``specular_scale`` is at most that whose mean g_A over skin is :data:`MOST_SPECULAR` of the
+    photograph's in each channel. ``strength`` is q, and ``doubts`` say why it is below 1.
     """
 
     photo: Float[ndarray, "h w 3"]
@@ -168,9 +173,8 @@ class Portrait:
     grey: bool
     albedo: float
     matte: Float[ndarray, "h w"]
-    leaning: Float[ndarray, "p q 2"]
-    around: Float[ndarray, "p q"]
-    bright: float
+    outline: Outline
+    lit: float
     base: Float[ndarray, "h w"]
     skin: Float[ndarray, "h w"]
     veil: float
@@ -246,13 +250,17 @@ class Portrait:
         head = float32((regions >= 0) & (regions != BUST))
         doubts = _doubts(small[on_skin], found, hidden) if held is None else held.doubts
         head_drawn = (regions >= 0) & (regions < HAIR)
-        near = known(head_drawn, hair, regions == BUST, person.face_px)
         face_px = person.face_px * len(picture) / len(regions)  # in the picture's pixels
         cut = soft_matte(picture, float32(matte), head, person.face_px)
         own = light_share(picture, cut, face_px)
         small_matte = cv2.resize(own, small.shape[1::-1], interpolation=cv2.INTER_AREA)
+        near = known(head_drawn, hair, regions == BUST, small_matte, person.face_px)
+        veil = veil_of(picture, white) if held is None else held.veil
+        sure = told_apart(picture, float32(matte), face_px)
+        small_cut = cv2.resize(cut, small.shape[1::-1], interpolation=cv2.INTER_AREA)
         base = base_of(picture, white, face_px)
         small_base = cv2.resize(base, small.shape[1::-1], interpolation=cv2.INTER_AREA)
+        colour = SkinColour.of(small, small_base, plain, on, None if held is None else held.lacks)
         return Portrait(
             photo=float32(photo.numpy()),
             edit=edit,
@@ -263,16 +271,17 @@ class Portrait:
             grey=grey,
             albedo=albedo,
             matte=own,
-            leaning=leaning(cut, shading.shape[:2], person.face_px) * near[..., None],
-            around=surroundings(small, small_matte, person.face_px),
-            bright=float(shown @ LUMINANCE_WEIGHTS),
+            outline=Outline.of(
+                small, small_cut, small_matte, sure, near, colour.alike, hair, person.face_px
+            ),
+            lit=float(mean @ LUMINANCE_WEIGHTS) if held is None else held.lit,
             base=base,
             skin=resized(
                 # wholly to its border: so the face's own is not bounded as hair is
                 np.minimum(2 * cv2.GaussianBlur(on.bare, (0, 0), SHARP * on.face_px), 1),
                 picture.shape[:2],
             ),
-            veil=veil_of(picture, white),
+            veil=veil,
             white=white,
             shading=shading,
             specular=specular,
@@ -283,9 +292,7 @@ class Portrait:
             hollow_share=on.continued(on.share_of(hollow, shading)),
             before=before,
             unseen=hidden,
-            colour=SkinColour.of(
-                small, small_base, plain, on, None if held is None else held.lacks
-            ),
+            colour=colour,
             strength=_DOUBTED ** len(doubts),
             doubts=doubts,
         )
@@ -306,7 +313,7 @@ class Portrait:
         light that does not reach the skin, which is shown as it is. ``edge`` is a lamp behind the
         person, which lights the outline.
         """
-        gains = self.gains(light, keep=keep, edge=edge)
+        gains = self.gains(light, keep=keep, edge=edge, exposure=exposure)
         return exposure * self.changed(gains), exposure * gains.factor
 
     def gains(
@@ -316,8 +323,10 @@ class Portrait:
         keep: Keep = "nothing",
         edge: EdgeLight | None = None,
         factor: float | None = None,
+        exposure: float = 1.0,
     ) -> Gains:
-        """What :meth:`under` does to the picture.
+        """What :meth:`under` does to the picture, but for the ``exposure``, with which skin comes
+        out of white too.
 
         ``factor`` is what keeps the skin's brightness, where that is known.
         """
@@ -344,7 +353,7 @@ class Portrait:
         tint = cast + self.skin[..., None] * resized(self._reddened(shading, hollow), size)
         tint = tint + self.colour.change(level - usual, self.base)
         tint = tint + self.colour.without_highlights(level - usual)
-        tint = tint + self.colour.out_of_white(level)
+        tint = tint + self.colour.out_of_white(level + np.float32(math.log(max(exposure, 1e-9))))
         behind = np.ones(3, np.float32)
         if keep != "place":
             behind = np.maximum(factor * self._behind(light), 1e-9)
@@ -353,10 +362,11 @@ class Portrait:
         if edge is not None:
             # less where little is left to white; what passes it all the same is rolled off
             room = np.maximum(1 - np.exp(self.base + level), 0)
-            edged = room * within[..., 0] ** 2 * edge.on(resized(self.leaning, size))
+            edged = (room * self.matte)[..., None] * self.outline.lit(edge)
         return Gains(
             times=within * np.exp(tint + level[..., None]) + (1 - within) * behind,
             edge=edged,
+            colour=np.array((1, 1, 1) if edge is None or self.grey else edge.colour, np.float32),
             factor=factor,
         )
 
@@ -364,9 +374,9 @@ class Portrait:
         """The photograph with those gains, linear."""
         picture = self.scene * gains.times
         if gains.edge is not None:
-            around = resized(self.around, (self.scene.shape[0], self.scene.shape[1]))
-            sent = reflected(self.scene, around, self.bright, self.stray)
-            picture = picture + gains.edge[..., None] * sent
+            picture = picture + self.outline.sent(
+                self.scene, gains.edge, gains.colour, self.lit, self.stray
+            )
         # what an edit made black is not known again: where nothing changed, nothing changes
         picture = self._edited(picture) + (self.photo - self._edited(self.scene))
         return np.maximum(picture, 0)
@@ -374,7 +384,7 @@ class Portrait:
     @property
     def stray(self) -> float:
         """The veil's luminance, in the picture's unit; above 0."""
-        return max(self.veil * self.white, 1e-9)
+        return max(self.veil * self.white, _NO_STRAY)
 
     def _edited(self, picture: Float[ndarray, "h w 3"]) -> Float[ndarray, "h w 3"]:
         return self.edit.apply(torch.from_numpy(picture)).numpy()

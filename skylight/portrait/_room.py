@@ -7,6 +7,8 @@ the :func:`base_of` the picture, its edges without its texture (Durand and Dorse
 texture keeps its contrast.
 """
 
+import math
+
 import cv2
 import numpy as np
 import torch
@@ -28,8 +30,11 @@ from skylight.portrait._gain import (
 )
 
 VEILING = 0.02  # stray light over the picture's mean: glare of usual lenses is 1 to 3 % (ISO 9358)
-LEAST_ROOM = 0.05  # logarithm: what white may still become brighter by, and is rolled off
+LEAST_ROOM = 0.05  # logarithm: what may still become brighter by where no room is left
+ROUND = 0.05  # logarithm: over which room ends
 SHORT = 0.15  # logarithm: where skin near white has neither colour nor shape
+# Where room would end, so that what is short of white by LEAST_ROOM less still has that
+BEGINS = SHORT + LEAST_ROOM - ROUND * math.log(math.expm1(LEAST_ROOM / ROUND))
 OVER = 1.0  # logarithm: how much brighter than white a white place may have been
 OTHER_BRIGHTER, OTHER_DARKER = 0.35, 0.7  # logarithms: half a stop and one, of hair and clothes
 _MIDDLE = 20, 230  # codes that are neither dark nor clipped
@@ -71,11 +76,18 @@ def headroom(
 
     Brighter to :data:`SHORT` of white, and by :data:`~skylight.portrait._gain.BRIGHTER`, in all
     where the typical gain is below 0. What is no ``skin``, whose shape is not known, by less both
-    ways.
+    ways. Of a gain that is bounded by m it is ::
+
+        (m^-4 + s^-4)^(-1/4),    s = ROUND ln(1 + e^((-base - typical - BEGINS) / ROUND)),
+
+    which bends at no brightness, and is nowhere more than the lesser of m and the larger of
+    ``-base - typical - SHORT`` and :data:`LEAST_ROOM`.
     """
     most = skin * (BRIGHTER - min(typical, 0.0)) + (1 - skin) * np.float32(OTHER_BRIGHTER)
     least = skin * np.float32(DARKER) + (1 - skin) * np.float32(OTHER_DARKER)
-    return np.clip(-base - np.float32(typical + SHORT), LEAST_ROOM, most), least
+    room = (-base - np.float32(typical + BEGINS)) / np.float32(ROUND)
+    room = np.float32(ROUND) * np.logaddexp(np.float32(0), room)
+    return most * room / (most**4 + room**4) ** np.float32(0.25), least
 
 
 def below_white(

@@ -111,6 +111,10 @@ class TestAHeadThatTurns:
             assert float(softened(light, turn).integrate()[0]) == pytest.approx(whole, rel=2e-3)
 
 
+def gains_of(times: np.ndarray) -> Gains:
+    return Gains(times=times, edge=None, colour=np.ones(3, np.float32), factor=1.0)
+
+
 class TestWhatIsCarried:
     def test_noise_of_gains_becomes_less_and_moves_with_the_film(self) -> None:
         """Of a recursive mean with s = 0.75, the variance is (1 - s) / (1 + s)."""
@@ -124,7 +128,7 @@ class TestWhatIsCarried:
             carried.see(moved(texture, 2 * shift(k)))
             noise = 0.1 * rng.normal(size=(12, 12, 3))
             field = cv2.resize(1 + noise, (192, 192), interpolation=cv2.INTER_NEAREST)
-            now = Gains(times=field.astype(np.float32), edge=None, factor=1.0)
+            now = gains_of(field.astype(np.float32))
             before = now if before is None else carried.mean(before, now)
             spreads.append(before.times[40:-40, 40:-40].std())
         expected = 0.1 * np.sqrt((1 - SHARE) / (1 + SHARE))
@@ -133,10 +137,7 @@ class TestWhatIsCarried:
 
     def test_nothing_is_carried_to_another_picture(self) -> None:
         rng, carried = np.random.default_rng(2), Carried()
-        old, new = (
-            Gains(times=np.full((64, 64, 3), g, np.float32), edge=None, factor=1.0)
-            for g in (3.0, 1.0)
-        )
+        old, new = (gains_of(np.full((64, 64, 3), g, np.float32)) for g in (3.0, 1.0))
         carried.see(np.full((64, 64, 3), 30, np.uint8))
         half = np.full((64, 64, 3), 30, np.uint8)
         half[:, 44:] = rng.integers(150, 250, (64, 20, 3))
@@ -182,6 +183,29 @@ class TestARelitFilm:
         one, other = (frame.gains[LEFT].factor for frame in seen)
         assert one == other
         assert one != 1
+
+    def test_what_strays_and_how_bright_white_is_do_not_flicker(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """A card of white that is held into every other frame would raise the veil, and so take
+        the edge's light from hair."""
+        pictures = [one.copy() for one in frames(4)]
+        for picture in pictures[::2]:
+            picture[:60, :60] = 255
+        film = kept(written(tmp_path / "film.mkv", pictures))
+        made, of = list[Portrait](), Portrait.of
+
+        def kept_of(*given: Any, **options: Any) -> Portrait:
+            made.append(of(*given, **options))
+            return made[-1]
+
+        monkeypatch.setattr(Portrait, "of", staticmethod(kept_of))
+        light = {LEFT: key_light(film, "rim")}
+        assert all(one.is_relit for one in relit_frames(film, film_poses(film), light, workers=1))
+        alone, together = made[:-4], made[-4:]
+        assert np.ptp([one.veil for one in alone]) > 0.05 * alone[0].veil
+        assert len({(one.veil, one.lit, one.stray) for one in together}) == 1
+        assert together[0].veil == np.median([one.veil for one in alone])
 
     def test_an_edge_is_lit_from_where_the_world_has_its_lamp(self) -> None:
         """A camera that turns by 90 degrees to the right sees what was ahead on its left."""

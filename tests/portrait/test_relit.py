@@ -21,6 +21,7 @@ from skylight.portrait._gain import (
     Surface,
     bounded,
     colour_of,
+    float32,
     level_of,
     soft_matte,
 )
@@ -557,3 +558,39 @@ def test_skin_below_white_and_a_light_that_stays_change_no_hue() -> None:
     for exposure, level in ((dim, -0.7), (2 * dim, 0.0), (2 * dim, 0.3)):
         relit, seen = (near_white(exposure, albedo, each) for each in (level, None))
         np.testing.assert_allclose(relit, seen * np.exp(level), rtol=1e-5)
+
+
+def test_skin_comes_out_of_white_with_an_exposure_too() -> None:
+    """Over-exposed skin is yellow: a picture that is made darker as a whole shows it."""
+    light = sunny(40.0, 50.0)
+    seen = np.minimum(image(light) * (1.6 / np.quantile(image(light)[on_skin()], 0.9)), 1)
+    one = portrait(light, seen.astype(np.float32))
+    one = replace(one, strength=1.0, doubts=())
+    astray = np.abs(one.colour.astray) > 0.02
+    assert astray.sum() > 20
+    same, _ = one.under(light, keep="place")
+    np.testing.assert_allclose(same, seen, atol=1e-5)
+    dimmed, _ = one.under(light, 0.5, keep="place")
+    usual = one.colour.across
+
+    def off(picture: np.ndarray) -> float:
+        return float(np.abs(colour_of(picture[astray]) @ usual).mean())
+
+    assert off(dimmed) < 0.7 * off(seen)
+    # and nothing else is but half as bright
+    away = one.colour.astray == 0
+    assert away.mean() > 0.5
+    np.testing.assert_allclose(dimmed[away], 0.5 * seen[away], rtol=1e-4)
+
+
+def test_lips_near_white_keep_their_hue() -> None:
+    """They are no skin that has strayed, as they have not its colour."""
+    everywhere = np.ones((60, 200), np.float32)
+    exposure = np.linspace(1.4, 3.7, 200)[None, :, None]
+    skin, lips = np.array([0.5, 0.3, 0.2]), np.array([0.5, 0.14, 0.16])
+    is_lip = np.indices(everywhere.shape)[0] < 20
+    seen = np.minimum(exposure * np.where(is_lip[..., None], lips, skin), 1).astype(np.float32)
+    on = Surface(bare=everywhere, face=everywhere, traced=everywhere, face_px=60.0)
+    colour = SkinColour.of(seen, base_of(seen, 1.0, 60.0), float32(~is_lip), on)
+    assert np.abs(colour.astray[45]).max() > 0.05
+    assert np.abs(colour.astray[8]).max() < 0.2 * np.abs(colour.astray[45]).max()

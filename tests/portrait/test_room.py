@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from skylight.portrait._gain import BRIGHTER, DARKER, DARKEST, bounded
+from skylight.portrait._gain import BRIGHTER, DARKER, DARKEST, KNEE, bounded
 from skylight.portrait._room import (
     LEAST_ROOM,
     OTHER_BRIGHTER,
     OTHER_DARKER,
     OVER,
+    ROUND,
     SHORT,
     VEILING,
     above_veil,
@@ -40,6 +41,49 @@ def test_a_key_light_drives_nothing_above_white(
         assert np.log(brightness) + level <= max(least, -SHORT) + LEAST_ROOM + 1e-5
         assert level <= own + max(typical, 0.0) + LEAST_ROOM + 1e-5
         assert level >= typical - down - 1e-5
+
+
+def slopes(level: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Along the last axis: the first, and how fast it changes."""
+    first = np.diff(level.astype(np.float64), axis=-1) / step
+    return first, np.diff(first, axis=-1) / step
+
+
+@pytest.mark.parametrize("typical", [-0.5, 0.0, 0.7])
+@pytest.mark.parametrize("skin", [0.0, 1.0])
+def test_a_gain_bends_nowhere_sharply(typical: float, skin: float) -> None:
+    """Neither as the light changes nor from dark to white, where a bend is seen as a seam.
+
+    The clipped room and the knee of its own width that were here before bent without bound along
+    brightness, and by 1 in 0.07 along the gain.
+    """
+    steps = np.float32(0.005)
+    base = np.arange(-3, 1e-6, steps, dtype=np.float32)[None]
+    gain = np.arange(-3, 3, steps, dtype=np.float32)
+    skins = np.full_like(base, skin)
+    most, least = headroom(base, typical, skins)
+    gains, mosts, leasts = np.broadcast_arrays(gain[None].astype(np.float64), most.T, least.T)
+    level = bounded(gains, mosts, leasts)
+    of_gain, bend = slopes(level, steps)
+    assert np.abs(bend).max() < 1.01 / KNEE
+    assert -1e-3 < of_gain.min() < of_gain.max() < 1.001
+    of_base, bend = slopes(level.T, steps)
+    assert np.abs(of_base).max() < 1.01  # so a brighter place does not become darker than another
+    assert np.abs(bend).max() < 0.3 / ROUND
+    # along both, as on a forehead from its lit side to its highlight
+    across = np.diff(level, axis=1) / steps
+    assert np.abs(np.diff(across, axis=0)).max() < 0.05
+
+
+def test_a_gain_that_finds_no_room_leaves_what_is_lit_as_it_was() -> None:
+    """0 stays 0, however little room there is, and what is left is still approached."""
+    for most in (0.0, 0.003, 0.05, 0.2, 1.0):
+        level = bounded(np.array([0.0, 9.0, 1e-3, -1e-3, -9.0], np.float64), most, DARKER)
+        assert level[0] == 0
+        assert level[1] == pytest.approx(most, abs=2e-4)
+        # from either side with one slope, 1 where there is room
+        assert level[2] == pytest.approx(-level[3], rel=0.05, abs=1e-4)
+        assert level[4] < -1.9
 
 
 @given(brightness=BRIGHTNESS, gain=GAINS, typical=st.floats(-1, 1))

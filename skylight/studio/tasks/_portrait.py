@@ -10,8 +10,8 @@ of lobe g(w) towards d, of which a share b is behind the sitter ::
 
 f, s and B are those of :mod:`skylight.portrait._keys`, b is
 :func:`skylight.portrait._edge.edge_share`, which is drawn as an edge of strength
-``b s / (1 + s m)``, m being what the key counts for in an exposure, and f_s is as much rougher as
-the lobe is wide. The page goes on as :mod:`skylight.portrait._relit` does. V is that of 32 x 64
+``RIM b s / (1 + s m)``, m being what the key counts for in an exposure, and f_s is as much rougher
+as the lobe is wide. The page goes on as :mod:`skylight.portrait._relit` does. V is that of 32 x 64
 directions, so no shadow has a penumbra of less than 5.6 degrees.
 
 Of every estimate is kept what its person can be taken apart from later, without estimating again
@@ -43,7 +43,14 @@ from skylight.imaging._photo import Photo
 from skylight.io._bounded import json_content, write_json
 from skylight.io._tensors import write_tensors
 from skylight.portrait._bounce import ALBEDO, AROUND
-from skylight.portrait._edge import BEHIND, GRAZING, METERED, MOST_STRAND, SHEEN
+from skylight.portrait._edge import (
+    BEHIND,
+    BODY,
+    HAIR_BODY,
+    METERED,
+    MOST_STRAND,
+    SOON_LIT,
+)
 from skylight.portrait._files import KNEE
 from skylight.portrait._gain import (
     BASE,
@@ -51,6 +58,7 @@ from skylight.portrait._gain import (
     DARKER,
     DARKEST,
     EDGE_OF_WHITE,
+    KNEE as GAIN_KNEE,
     LUMINANCE_WEIGHTS,
     NEAR,
     REACH,
@@ -61,9 +69,11 @@ from skylight.portrait._gain import (
 from skylight.portrait._keys import (
     KEY_OVER_FILL,
     KEYS,
+    RIM,
     USUAL_DEG,
     brightness_of_ball,
     fill_of,
+    key_light,
 )
 from skylight.portrait._relit import (
     Portrait,
@@ -71,13 +81,7 @@ from skylight.portrait._relit import (
     light_in_photo,
     portrait_of,
 )
-from skylight.portrait._room import (
-    LEAST_ROOM,
-    OTHER_BRIGHTER,
-    OTHER_DARKER,
-    OVER,
-    SHORT,
-)
+from skylight.portrait._room import BEGINS, OTHER_BRIGHTER, OTHER_DARKER, OVER, ROUND
 from skylight.portrait._surface import PersonSurface, scaled
 from skylight.studio.tasks._uploads import open_photo
 from skylight.work._progress import StageProgress
@@ -148,7 +152,8 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     holds person and surface; ``places`` (m,) are the skin's points in it. ``visible`` (m,256) has
     a bit for each of 32 x 64 directions, the lowest first. ``marks`` (h,w,3) are U of
     :class:`~skylight.portrait._gain.Unseen`, from -:data:`_UNSEEN` to that in 255 steps, and
-    :func:`~skylight.portrait._room.base_of` from ``ln DARKEST`` to 0, and how much shows skin.
+    :func:`~skylight.portrait._room.base_of` from ``ln DARKEST`` to 0, how much shows skin, and how
+    far the picture tells the person from what is behind.
     ``found_power`` is
     :func:`~skylight.portrait._relit.coarse_power`; ``found_map`` is to be looked at. ``occlusion``
     and ``fill_gloss`` are S_0 and g_0 in luminance, over ``fill``, which is how bright the fill R
@@ -156,8 +161,8 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     does. ``shading`` and ``glossy`` (m,3) are S_L and g_L, in colour.
     ``share`` is :meth:`~skylight.portrait._gain.Surface.share` of the crop, ``outline`` how its
     outline leans (:mod:`skylight.portrait._edge`), how far it has the colour of skin and how bright
-    the person is around, ``pale`` that and ``astray`` of
-    :class:`~skylight.portrait._gain.SkinColour`. ``hue`` and ``albedo`` are of
+    the person is around, ``reflecting`` what is lit from behind, ``pale`` that and ``astray``
+    of :class:`~skylight.portrait._gain.SkinColour`. ``hue`` and ``albedo`` are of
     :mod:`skylight.portrait._bounce`.
     """
     person = portrait.person
@@ -169,6 +174,8 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     )
     rows, columns = person.surface.pixels[person.skin].numpy().T
     left, top, width, height = _crop(portrait)
+    outline, lamp = portrait.outline, key_light(face, "rim").edge
+    assert lamp is not None
 
     def within(image: Float[ndarray, "p q *c"]) -> Float[ndarray, "k l *c"]:
         return np.ascontiguousarray(image[top : top + height, left : left + width])
@@ -188,6 +195,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
             127.5 * (portrait.unseen.level / _UNSEEN + 1),
             255 * (1 - portrait.base / math.log(DARKEST)),
             255 * portrait.skin,
+            255 * outline.sure,
         ]
     )
     tensors = {
@@ -195,7 +203,10 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "marks": torch.from_numpy(marks.round().clip(0, 255)).to(torch.uint8),
         "share": torch.from_numpy(within(portrait.on.share())),
         "outline": torch.from_numpy(
-            within(np.dstack([portrait.leaning, portrait.colour.alike, portrait.around]))
+            within(np.dstack([outline.leaning, portrait.colour.alike, outline.around]))
+        ),
+        "reflecting": torch.from_numpy(
+            within(np.dstack([outline.surface, outline.hair, outline.gloss]))
         ),
         "pale": torch.from_numpy(within(np.dstack([portrait.colour.pale, portrait.colour.astray]))),
         "places": torch.from_numpy((rows - top) * width + columns - left).int(),
@@ -228,8 +239,8 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "most": [BRIGHTER, DARKER],
         "darkest": math.log(DARKEST),
         "veil": portrait.veil,
-        "least_room": LEAST_ROOM,
-        "short": SHORT,
+        "room": [BEGINS, ROUND],
+        "bend": GAIN_KNEE,
         "edge_of_white": EDGE_OF_WHITE,
         "over": OVER,
         "other_most": [OTHER_BRIGHTER, OTHER_DARKER],
@@ -237,10 +248,13 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "soon": SOON,
         "behind": BEHIND,
         "metered": METERED,
-        "grazing": GRAZING,
-        "sheen": SHEEN * portrait.bright,
+        "rim": RIM,
+        "lamp_shine": [1.0, 1.0, 1.0] if portrait.grey else [*lamp.colour],
+        "lit": portrait.lit,
         "stray": portrait.stray,
         "most_strand": MOST_STRAND,
+        "sent": [BODY, HAIR_BODY],
+        "soon_lit": SOON_LIT,
         "across": portrait.colour.across.tolist(),
         "unseen": _UNSEEN,
         "doubted": portrait.strength,

@@ -222,7 +222,9 @@ def test_the_page_gets_the_outline_and_the_colours_of_skin(taken_apart: TakenApa
     facts, portrait = json.loads(metadata["facts"]), taken_apart.portrait
     left, top, width, height = facts["crop"]
     crop = np.s_[top : top + height, left : left + width]
-    want = np.dstack([portrait.leaning, portrait.colour.alike, portrait.around])[crop]
+    want = np.dstack([portrait.outline.leaning, portrait.colour.alike, portrait.outline.around])[
+        crop
+    ]
     np.testing.assert_array_equal(tensors["outline"].numpy(), want)
     np.testing.assert_array_equal(tensors["share"].numpy(), portrait.on.share()[crop])
     pale = np.dstack([portrait.colour.pale, portrait.colour.astray])[crop]

@@ -209,7 +209,7 @@ export class KeyLight {
       hollow: { after: this.continued(after.hollow), before: this.before.hollow },
       typical: sum / total,
       common: this.common(from, dimmed, before, behind),
-      edge: { direction: towards, strength: (behind * strength) / (1 + strength * metered), spreadRad: from.spreadRad },
+      edge: { direction: towards, strength: (facts.rim * behind * strength) / (1 + strength * metered), spreadRad: from.spreadRad },
     };
   }
 

@@ -32,8 +32,9 @@ export interface Facts {
   /** The logarithm that is 0 of the marks' second number. */
   darkest: number;
   veil: number;
-  least_room: number;
-  short: number;
+  room: [begins: number, round: number];
+  /** Over how much a gain bends at least. */
+  bend: number;
   edge_of_white: number;
   over: number;
   /** What skin lacks of its usual colour, by its brightness, and the change of level that soon shows it. */
@@ -42,10 +43,15 @@ export interface Facts {
   /** Of a key behind the sitter: skylight.portrait._edge. */
   behind: number;
   metered: number;
-  grazing: number;
-  sheen: number;
+  rim: number;
+  /** The colour of its lamp on what is shiny, and how bright white is in the photograph's light. */
+  lamp_shine: Rgb;
+  lit: number;
   stray: number;
   most_strand: number;
+  /** Times its own colour, of surfaces and of hair, which is soon as bright as it gets. */
+  sent: [surface: number, hair: number];
+  soon_lit: number;
   unseen: number;
   doubted: number;
   doubts: string[];
@@ -57,7 +63,7 @@ export interface Facts {
 export interface Person {
   facts: Facts;
   picture: { width: number; height: number; codes: Uint8Array };
-  /** Three a pixel: what is not seen of the old light, the picture's base, and how much is skin. */
+  /** Four a pixel: what is not seen of the old light, the picture's base, how much is skin, and how far it is told from what is behind. */
   marks: Uint8Array;
   places: Int32Array;
   normals: Float32Array;
@@ -74,6 +80,8 @@ export interface Person {
   share: Float32Array;
   /** Four a pixel of the crop: how the outline leans to the right, and up; how far it has the colour of skin; how bright the person is around. */
   outline: Float32Array;
+  /** Three a pixel of the crop: how much of it is a surface, and hair, that a lamp behind lights; how glossy the surface is. */
+  reflecting: Float32Array;
   /** Four a pixel of the crop, logarithms: what highlights have too much of each channel; how far white skin has strayed along `across`. */
   pale: Float32Array;
   foundPower: Float32Array;
@@ -102,6 +110,7 @@ export function readPerson(file: ArrayBuffer): Person {
     face: tensors.floats("face"),
     share: tensors.floats("share"),
     outline: tensors.floats("outline"),
+    reflecting: tensors.floats("reflecting"),
     pale: tensors.floats("pale"),
     foundPower: tensors.floats("found_power"),
     foundMap: { ...sized("found_map"), data: tensors.floats("found_map") },

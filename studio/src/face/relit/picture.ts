@@ -11,15 +11,17 @@ void main() {
 const PIXEL = `#version 300 es
 precision highp float;
 const int STEPS = 16;
-uniform highp sampler2D photo, marks, gain, outline, pale;
+uniform highp sampler2D photo, marks, gain, outline, pale, reflecting;
 uniform vec2 size, from, extent, crop; // of the picture; and where the person's grid, and its crop, are in it
 uniform vec2 drawn; // pixels of the canvas
 uniform vec2 most, otherMost;
 uniform vec3 lacks[STEPS], hue, across;
-uniform vec3 lamp; // behind the sitter
-uniform float edge, grazing, spread, sheen, stray, mostStrand, soon;
+uniform vec3 lamp, shine; // behind the sitter
+uniform vec2 sent; // of surfaces and of hair
+uniform float edge, spread, lit, stray, mostStrand, soonLit, soon;
 uniform float typical, doubted, other, range, knee;
-uniform float darkest, veil, leastRoom, shortOfWhite, edgeOfWhite, over; // of skylight.portrait._room
+uniform vec2 room; // and these, of skylight.portrait._room
+uniform float darkest, veil, bend, edgeOfWhite, over;
 uniform float before; // the share of the width, from the left, that is as it was photographed
 out vec4 color;
 
@@ -32,6 +34,10 @@ vec3 tanh_(vec3 x) {
   vec3 e = exp(-2.0 * clamp(x, -20.0, 20.0));
   return (1.0 - e) / (1.0 + e);
 }
+float soon_(float change) {
+  float away = 2.0 * abs(change) / soon;
+  return 1.0 - (1.0 + away) * exp(-away);
+}
 void main() {
   vec2 at = vec2(gl_FragCoord.x, drawn.y - gl_FragCoord.y) * size / drawn;
   vec4 seen = texture(photo, at / size); // linear
@@ -41,28 +47,39 @@ void main() {
     vec3 scene = unedited(p);
     vec4 leans = texture(outline, (at - from) / crop); // how bright it is around, last
     vec4 whiter = texture(pale, (at - from) / crop);
-    vec3 mark = texture(marks, at / size).rgb;
+    vec3 sends = texture(reflecting, (at - from) / crop).rgb;
+    vec4 mark = texture(marks, at / size);
     float hidden = range * (2.0 * mark.r - 1.0);
     float base = darkest * (1.0 - mark.g);
     vec3 change = texture(gain, (at - from) / extent).rgb; // of level; and light from the face, after and before
     float more = change.r + other * hidden - typical;
-    float limit = more > 0.0 ? clamp(-base - typical - shortOfWhite, leastRoom, mix(otherMost.x, most.x - min(typical, 0.0), mark.b)) : mix(otherMost.y, most.y, mark.b);
-    float level = typical + doubted * limit * tanh_(vec3(more / limit)).x;
+    float free = (-base - typical - room.x) / room.y;
+    free = room.y * (max(free, 0.0) + log(1.0 + exp(-abs(free))));
+    vec2 limit = mix(otherMost, vec2(most.x - min(typical, 0.0), most.y), mark.b);
+    limit.x = max(limit.x * free / pow(pow(limit.x, 4.0) + pow(free, 4.0), 0.25), 1e-4);
+    float slope = pow(1.0 + pow(bend / limit.x, 4.0), -0.125), less = min(more, 0.0);
+    less -= (1.0 - slope) * bend * (exp(less / bend) - 1.0);
+    vec2 both = limit * tanh_(vec3(vec2(slope * max(more, 0.0), less) / limit, 0.0)).xy;
+    float level = typical + doubted * (both.x + both.y);
     float usual = max(typical, 0.0);
     if (level > usual) level = usual + log(1.0 + (exp(level - usual) - 1.0) * (1.0 - (1.0 - mark.b) * min(veil * exp(-base), 1.0)));
     float lost = (1.0 - mark.b) * clamp(1.0 - (1.0 - exp(base)) / edgeOfWhite, 0.0, 1.0);
     if (level < 0.0) level = min(level + over * lost, 0.0);
     float place = mark.g * float(STEPS - 1);
     int step = min(int(place), STEPS - 2);
-    vec3 tint = leans.b * (1.0 - exp(-abs(level - typical) / soon)) * mix(lacks[step], lacks[step + 1], place - float(step));
+    vec3 tint = leans.b * soon_(level - typical) * mix(lacks[step], lacks[step + 1], place - float(step));
     tint += mark.b * doubted * (log(1.0 + change.g * (hue - 1.0)) - log(1.0 + change.b * (hue - 1.0)));
-    tint += (1.0 - exp(min(level - typical, 0.0) / soon)) * whiter.rgb;
-    tint -= (1.0 - exp(min(level, 0.0) / soon)) * whiter.a * across;
+    tint += soon_(min(level - typical, 0.0)) * whiter.rgb;
+    tint -= soon_(min(level, 0.0)) * whiter.a * across;
     float cosine = dot(leans.rg, lamp.xy) + sqrt(max(1.0 - dot(leans.rg, leans.rg), 0.0)) * lamp.z;
     float radius = 2.0 * spread, risen = clamp(cosine + radius, 0.0, 2.0 * radius);
     float shown = max(dot(scene, vec3(0.2126, 0.7152, 0.0722)), 0.0);
-    float sent = grazing * edge * (risen * risen / (4.0 * radius) + max(cosine - radius, 0.0));
-    vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a) + seen.a * seen.a * max(1.0 - exp(base + level), 0.0) * sent * (scene + sheen * min(shown / (leans.a + stray), mostStrand) * shown / (shown + stray));
+    float own = shown / (shown + stray);
+    float received = risen * risen / (4.0 * radius) + max(cosine - radius, 0.0);
+    vec2 lights = mark.a * edge * own * sends.rg * vec2(received, received / (received + soonLit));
+    vec2 body = lights * sent * vec2(1.0, min(shown / (leans.a + stray), mostStrand));
+    vec3 behind = (body.x + body.y) * scene + lights.x * sends.b * lit * shine;
+    vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a) + seen.a * max(1.0 - exp(base + level), 0.0) * behind;
     light = max(edited(person) + p - edited(scene), 0.0);
     vec3 k = clamp(p, knee, 1.0 - 1e-6);
     if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
@@ -93,7 +110,7 @@ export class RelitPicture {
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
-    { picture, marks, outline, pale, facts }: Person,
+    { picture, marks, outline, pale, reflecting, facts }: Person,
     private readonly light: KeyLight,
   ) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true });
@@ -111,7 +128,7 @@ export class RelitPicture {
       else gl.uniform2f(place, values[0]!, values[1]!);
     };
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    ["photo", "marks", "gain", "outline", "pale"].forEach((name, unit) => {
+    ["photo", "marks", "gain", "outline", "pale", "reflecting"].forEach((name, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
@@ -122,7 +139,7 @@ export class RelitPicture {
     gl.activeTexture(gl.TEXTURE0);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.SRGB8_ALPHA8, picture.width, picture.height, 0, gl.RGBA, gl.UNSIGNED_BYTE, picture.codes);
     gl.activeTexture(gl.TEXTURE1);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, picture.width, picture.height, 0, gl.RGB, gl.UNSIGNED_BYTE, marks);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, picture.width, picture.height, 0, gl.RGBA, gl.UNSIGNED_BYTE, marks);
     const across = picture.width / facts.size[0];
     const down = picture.height / facts.size[1];
     number("size", picture.width, picture.height);
@@ -135,6 +152,8 @@ export class RelitPicture {
     gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.RGBA32F : gl.RGBA16F, columns, rows, 0, gl.RGBA, gl.FLOAT, outline);
     gl.activeTexture(gl.TEXTURE4);
     gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.RGBA32F : gl.RGBA16F, columns, rows, 0, gl.RGBA, gl.FLOAT, pale);
+    gl.activeTexture(gl.TEXTURE5);
+    gl.texImage2D(gl.TEXTURE_2D, 0, this.wide ? gl.RGB32F : gl.RGB16F, columns, rows, 0, gl.RGB, gl.FLOAT, reflecting);
     this.setConstants(facts, number);
     this.paint(1, 1);
   }
@@ -200,13 +219,15 @@ export class RelitPicture {
     number("range", facts.unseen);
     number("darkest", facts.darkest);
     number("veil", facts.veil);
-    number("leastRoom", facts.least_room);
-    number("shortOfWhite", facts.short);
+    number("room", ...facts.room);
+    number("bend", facts.bend);
     number("otherMost", ...facts.other_most);
-    number("sheen", facts.sheen);
+    number("lit", facts.lit);
+    this.gl.uniform3f(this.uniform("shine"), ...facts.lamp_shine);
     number("stray", facts.stray);
     number("mostStrand", facts.most_strand);
-    number("grazing", facts.grazing);
+    number("sent", ...facts.sent);
+    number("soonLit", facts.soon_lit);
     number("soon", facts.soon);
     this.gl.uniform3fv(this.uniform("lacks"), facts.lacks.flat());
     this.gl.uniform3f(this.uniform("hue"), ...facts.hue);
