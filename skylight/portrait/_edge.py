@@ -18,16 +18,17 @@ what its surface reflects, whatever that is, and at a slant most. Hair is no sur
 pass on what goes through them, of their own colour, as soon as the light reaches them, and reflect
 little: from a lamp behind it black hair is hardly brighter than in even light, and no grey band. b
 is the luminance of a strand's surroundings (:func:`surroundings`): the logarithms of path-traced
-strands vary two to three times as much in light from behind as in even light. Where a photograph
+strands vary three to five times as much in light from behind as in even light, of which these have
+two. Where a photograph
 does not show strands, what they reflect would be a second outline, and there is as much less of it
 (:func:`strands_shown`).
 
-WIDTH, B, H, S and G are those of path-traced people and strands (``python -m tools.measure_rim``).
-Skin is off by a fifth, root mean square. Hair is made darker than theirs, by a fifth at the
-outline, and its band narrower, 0.11 of the face's height for 0.18, as locks are thinner than a
-head. Of cloth, B is that of skin below its surface, and G half the sheen of Burley 2012
-("Physically-based shading at Disney"), which is a choice, as those of how far an outline is
-believed are.
+B, H and G are those of path-traced people and strands (``python -m tools.measure_rim``) at the
+WIDTH and S here, which were chosen. Skin is off by a fifth, root mean square. Hair is made darker
+than theirs, by a sixth near the outline, and its band narrower, 0.11 of the face's height for 0.18,
+as locks are thinner than a head. Of cloth, B is that of skin below its surface, and G half the
+sheen of Burley 2012 ("Physically-based shading at Disney"), which is a choice, as those of how far
+an outline is believed are.
 
 An outline is believed as far as the picture tells person and background apart there
 (:func:`told_apart`), and where the head model does not contradict it (:func:`known`); the edge's
@@ -44,26 +45,27 @@ from numpy import ndarray
 
 from skylight.portrait._gain import CODES, DARKEST, LUMINANCE_WEIGHTS, blurred, float32, resized
 
-GAP = 0.06  # of it: radius of gaps in the matte that are closed
-SMOOTH = 0.03  # of it: the standard deviation of the outline's own normal, so that locks have none
-WIDTH = 0.3  # of the face's height: jaw and neck fit 0.33, all of a bald head 0.41, hair 0.55
-RECUT = 0.04  # of it: by how much an outline may lie too far out
-HOLLOW = 0.06  # of it: standard deviation of the surroundings that make a hollow
+# Lengths are in heights of the face.
+GAP = 0.06  # radius of gaps in the matte that are closed
+SMOOTH = 0.03  # the standard deviation of the outline's own normal, so that locks have none
+WIDTH = 0.3  # jaw and neck fit 0.33, all of a bald head 0.41, hair 0.55
+RECUT = 0.04  # by how much an outline may lie too far out
+HOLLOW = 0.06  # standard deviation of the surroundings that make a hollow
 DEEP = 0.15  # more than a half of them is the person's: an angle of 126 degrees
-CHANCE = 0.3  # how sure an outline is between two halves of one grey, within BORDER of it
-BORDER = 0.02  # of it: what head and hair are less sure of than that there is a person
-ENOUGH = 0.5  # so sure is a place that is as much likelier a person's as is told
-UNSURE = 0.2  # what is no likelier a person than that is none's outline
-TOLD = 0.08  # of it: radius of the surroundings in which colours tell person from background
+CHANCE = 0.3  # of what told_apart says: an outline between two halves of one grey has as much
+BORDER = 0.02  # of what lies near an outline: radius, and standard deviation of means
+ENOUGH = 0.5  # of the same: where it says that or more an edge is drawn wholly
+UNSURE = 0.2  # of the same: where it says less the matte is cut back
+TOLD = 0.08  # radius of the surroundings in which colours tell person from background
 # Of z of the direction to a lamp, towards the camera: from here on it is all edge, and from 0 none
 BEHIND = -0.5
 METERED = 0.06  # of a ball's brightness: what an edge counts for in an exposure
-STRANDS = 0.04  # of a face's height: standard deviation of the surroundings of a strand
+STRANDS = 0.04  # standard deviation of the surroundings of a strand
 MOST_STRAND = 3.0  # times its surroundings: locks reach that, earrings and threads far more
-# Of it: what lies farther from head and hair, and from a bust, which fits nobody exactly, is no
+# What lies farther from head and hair, and from a bust, which fits nobody exactly, is no
 # outline of theirs
 NEAR_HEAD, NEAR_BUST = 0.06, 0.5
-BESIDE = 0.05  # of it: standard deviation of what is cut away beside an outline
+BESIDE = 0.05  # standard deviation of what is cut away beside an outline
 LIKELY_HAIR = 0.25  # how likely a pixel has to show it
 
 
@@ -125,7 +127,8 @@ def edge_share(z: float) -> float:
 class Outline:
     """What of a person a lamp behind it lights, in the module's words.
 
-    ``leaning`` (p,q,2) is ``s o``, ``around`` (p,q) b, and ``sure`` (h,w) :func:`told_apart`.
+    ``leaning`` (p,q,2) is ``s o``, ``around`` (p,q) b, and ``sure`` (h,w) how far
+    :func:`told_apart` has reached :data:`ENOUGH`.
     ``surface`` and ``hair`` (p,q) are how much of a place is of these and lit, as far as the
     outline is :func:`known`; ``gloss`` (p,q) is G.
     """
@@ -200,7 +203,7 @@ class Outline:
 
 
 def _wider(mask: Float[ndarray, "p q"], by_px: float) -> Float[ndarray, "p q"]:
-    """An outline is of what lies beside it."""
+    """The largest value within a disc."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * max(1, round(by_px)) + 1,) * 2)
     return cv2.dilate(float32(mask), disc)
 

@@ -30,10 +30,10 @@ from skylight.portrait._gain import (
 )
 
 VEILING = 0.02  # stray light over the picture's mean: glare of usual lenses is 1 to 3 % (ISO 9358)
-LEAST_ROOM = 0.05  # logarithm: what may still become brighter by where no room is left
+LEAST_ROOM = 0.05  # logarithm: room at SHORT + LEAST_ROOM below white
 ROUND = 0.05  # logarithm: over which room ends
 SHORT = 0.15  # logarithm: where skin near white has neither colour nor shape
-# Where room would end, so that what is short of white by LEAST_ROOM less still has that
+# Where room would end were it not round, so that it is LEAST_ROOM there
 BEGINS = SHORT + LEAST_ROOM - ROUND * math.log(math.expm1(LEAST_ROOM / ROUND))
 OVER = 1.0  # logarithm: how much brighter than white a white place may have been
 OTHER_BRIGHTER, OTHER_DARKER = 0.35, 0.7  # logarithms: half a stop and one, of hair and clothes

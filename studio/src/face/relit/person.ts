@@ -80,7 +80,7 @@ export interface Person {
   share: Float32Array;
   /** Four a pixel of the crop: how the outline leans to the right, and up; how far it has the colour of skin; how bright the person is around. */
   outline: Float32Array;
-  /** Three a pixel of the crop: how much of it is a surface, and hair, that a lamp behind lights; how glossy the surface is. */
+  /** Three a pixel of the crop: how much of it is a surface, and hair, that a lamp behind lights; how glossy it is. */
   reflecting: Float32Array;
   /** Four a pixel of the crop, logarithms: what highlights have too much of each channel; how far white skin has strayed along `across`. */
   pale: Float32Array;

@@ -77,8 +77,8 @@ void main() {
     float own = shown / (shown + stray);
     float received = risen * risen / (4.0 * radius) + max(cosine - radius, 0.0);
     vec2 lights = mark.a * edge * own * sends.rg * vec2(received, received / (received + soonLit));
-    vec2 body = lights * sent * vec2(1.0, min(shown / (leans.a + stray), mostStrand));
-    vec3 behind = (body.x + body.y) * scene + lights.x * sends.b * lit * shine;
+    lights.y *= min(shown / (leans.a + stray), mostStrand);
+    vec3 behind = dot(lights, sent) * scene + (lights.x + lights.y) * sends.b * lit * shine;
     vec3 person = scene * mix(vec3(1.0), exp(tint + level), seen.a) + seen.a * max(1.0 - exp(base + level), 0.0) * behind;
     light = max(edited(person) + p - edited(scene), 0.0);
     vec3 k = clamp(p, knee, 1.0 - 1e-6);
