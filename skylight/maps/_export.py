@@ -49,6 +49,7 @@ from skylight.work._resumable import results_folder
 WHOLE = {"sh", "ar"}  # targets that have no lights of an artist's own to move
 LARGEST_FACE = 2048
 MOST_LAMPS = 8
+BRIGHTEST = 1e30  # radiance: sums over the sphere are float32 in files
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +89,8 @@ def export_light(
     Raises
     ------
     InputError
-        A map or estimate that cannot be read, no target, or a face size that cannot be.
+        A map or estimate that cannot be read or is too bright, no target, or a face size that
+        cannot be.
     """
     if not targets:
         raise InputError("name at least one target with --as")
@@ -98,6 +100,11 @@ def export_light(
             f"wide, not {face}"
         )
     light, listed = read_light(probe, convention, reading)
+    if (most := float(light.radiance.max())) > BRIGHTEST:
+        raise InputError(
+            f"{probe}: radiance of up to {most:.3g}, whose sums no other program holds; scale it "
+            f"down: skylight convert {probe} --scale 1e-10"
+        )
     cut_off, has_lights = False, bool(set(targets) - WHOLE)
     if lamps is not None:
         if listed:

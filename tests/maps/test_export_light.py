@@ -41,6 +41,20 @@ def test_all_targets_at_once(probe: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "reflections of light.glb lack" in told.err  # a sun of 500
 
 
+def test_light_whose_sums_are_beyond_float32_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of every target, as files of light hold float32; and nothing is written."""
+    radiance = torch.ones(16, 32, 3)
+    radiance[3, 4] = 3e38
+    probe, out = tmp_path / "bright.exr", tmp_path / "out"
+    write_environment_map(probe, EnvironmentMap(radiance=radiance))
+    for target in get_args(LightTarget):
+        assert main(["export", "light", str(probe), str(out), "--as", target]) == 2
+        assert "whose sums no other program holds" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_a_probe_of_another_convention_is_turned_first(probe: Path) -> None:
     turned = convert_latlong(read_light(probe), "skylight", "unity")
     write_environment_map(probe.parent / "unity.exr", EnvironmentMap(radiance=turned))
