@@ -19,9 +19,8 @@ pass on what goes through them, of their own colour, as soon as the light reache
 little: from a lamp behind it black hair is hardly brighter than in even light, and no grey band. b
 is the luminance of a strand's surroundings (:func:`surroundings`): the logarithms of path-traced
 strands vary three to five times as much in light from behind as in even light, of which these have
-two. Where a photograph
-does not show strands, what they reflect would be a second outline, and there is as much less of it
-(:func:`strands_shown`).
+two. Where a photograph does not show strands, what they reflect would be a second outline, and
+there is as much less of it (:func:`strands_shown`).
 
 B, H and G are those of path-traced people and strands (``python -m tools.measure_rim``) at the
 WIDTH and S here, which were chosen. Skin is off by a fifth, root mean square. Hair is made darker
@@ -67,8 +66,6 @@ MOST_STRAND = 3.0  # times its surroundings: locks reach that, earrings and thre
 NEAR_HEAD, NEAR_BUST = 0.06, 0.5
 BESIDE = 0.05  # standard deviation of what is cut away beside an outline
 LIKELY_HAIR = 0.25  # how likely a pixel has to show it
-
-
 BODY, SKIN_GLOSS = 1.7, 0.9  # B and G
 # G of cloth: half of Burley's sheen, pi / 2 (1 - cos a)^5, a being half the angle between the rim
 # key and the camera, 67 degrees
@@ -100,8 +97,7 @@ class EdgeLight:
         cosine = leaning[..., 0] * x + leaning[..., 1] * y + facing * z
         radius = 2 * self.spread_rad
         risen = np.clip(cosine + radius, 0, 2 * radius)
-        received = risen**2 / (4 * radius) + np.maximum(cosine - radius, 0)
-        return received
+        return risen**2 / (4 * radius) + np.maximum(cosine - radius, 0)
 
 
 def lamp_colour(found: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -128,9 +124,8 @@ class Outline:
     """What of a person a lamp behind it lights, in the module's words.
 
     ``leaning`` (p,q,2) is ``s o``, ``around`` (p,q) b, and ``sure`` (h,w) how far
-    :func:`told_apart` has reached :data:`ENOUGH`.
-    ``surface`` and ``hair`` (p,q) are how much of a place is of these and lit, as far as the
-    outline is :func:`known`; ``gloss`` (p,q) is G.
+    :func:`told_apart` has reached :data:`ENOUGH`. ``surface`` and ``hair`` (p,q) are how much of a
+    place is of these and lit, as far as the outline is :func:`known`; ``gloss`` (p,q) is G.
     """
 
     leaning: Float[ndarray, "p q 2"]

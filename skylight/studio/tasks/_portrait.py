@@ -50,6 +50,7 @@ from skylight.portrait._edge import (
     METERED,
     MOST_STRAND,
     SOON_LIT,
+    lamp_colour,
 )
 from skylight.portrait._files import KNEE
 from skylight.portrait._gain import (
@@ -73,7 +74,6 @@ from skylight.portrait._keys import (
     USUAL_DEG,
     brightness_of_ball,
     fill_of,
-    key_light,
 )
 from skylight.portrait._relit import (
     Portrait,
@@ -174,8 +174,9 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
     )
     rows, columns = person.surface.pixels[person.skin].numpy().T
     left, top, width, height = _crop(portrait)
-    outline, lamp = portrait.outline, key_light(face, "rim").edge
-    assert lamp is not None
+    outline = portrait.outline
+    red, green, blue = portrait.found.integrate().double().tolist()
+    lamp = (1.0, 1.0, 1.0) if portrait.grey else lamp_colour((red, green, blue))
 
     def within(image: Float[ndarray, "p q *c"]) -> Float[ndarray, "k l *c"]:
         return np.ascontiguousarray(image[top : top + height, left : left + width])
@@ -249,7 +250,7 @@ def packed(portrait: Portrait, face: KeptFace) -> tuple[dict[str, Tensor], dict[
         "behind": BEHIND,
         "metered": METERED,
         "rim": RIM,
-        "lamp_shine": [1.0, 1.0, 1.0] if portrait.grey else [*lamp.colour],
+        "lamp_shine": lamp,
         "lit": portrait.lit,
         "stray": portrait.stray,
         "most_strand": MOST_STRAND,
